@@ -1,0 +1,504 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One scenario: every parameter of the suite, typed, validated, declared here and nowhere else.
+
+A scenario is a ROS 2 parameter file (``/**: ros__parameters:``). The command line reads it with
+`load`; the nodes declare the same fields as ROS parameters (``nodes/parameters.py``). Each field
+carries its unit, its range and its text. A parameter that is None may be left out and then has
+the meaning that its text gives.
+
+The group ``truth`` repeats what the simulators may use in place of the nominal values; nothing
+that estimates reads it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import json
+import math
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Annotated, Any, Union
+
+import yaml
+
+
+class ConfigError(ValueError):
+    """A parameter is unknown, of the wrong type or impossible; the message names it."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What a parameter means and what is allowed."""
+
+    text: str
+    unit: str = ''
+    low: float = -math.inf
+    high: float = math.inf
+    length: int | None = None
+    choices: tuple[str, ...] = ()
+
+
+Floats = tuple[float, ...]
+Strings = tuple[str, ...]
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """Nominal camera: what is believed before the calibration."""
+
+    width: Annotated[int, Spec('Width of the detector', 'px', 16, 65536)] = 1024
+    height: Annotated[int, Spec('Height of the detector', 'px', 16, 65536)] = 1024
+    pixel_pitch_mm: Annotated[float, Spec('Pixel pitch', 'mm', 1e-5, 1.0)] = 0.00645
+    focal_length_mm: Annotated[float, Spec('Focal length', 'mm', 0.1, 1e5)] = 25.5
+    principal_point_px: Annotated[Floats, Spec(
+        'Principal point from the centre of the detector: u0, v0', 'px', -1e4, 1e4, 2)
+    ] = (0.0, 0.0)
+    distortion: Annotated[Floats, Spec(
+        'Distortion k1, k2, p1, p2', 'mm^-2, mm^-4, mm^-1, mm^-1', -1.0, 1.0, 4)
+    ] = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class MountingConfig:
+    """Nominal rotation from the gyro axes to the star tracker, given in one of two ways."""
+
+    fixed_angles_deg: Annotated[Floats | None, Spec(
+        'Fixed angles x, y, z of C_sg = Rz(z) Ry(y) Rx(x)', 'deg', -360.0, 360.0, 3)] = None
+    quaternion_xyzw: Annotated[Floats | None, Spec(
+        'Quaternion of C_sg (g to s), in place of the fixed angles', '', -1.0, 1.0, 4)] = None
+
+
+@dataclass(frozen=True)
+class GyroConfig:
+    """Gyro triad."""
+
+    rate_hz: Annotated[float, Spec('Sampling rate', 'Hz', 1.0, 1e4)] = 100.0
+    bias_deg_h: Annotated[Floats, Spec('Bias', 'deg/h', -1e6, 1e6, 3)] = (0.0, 0.0, 0.0)
+    arw_deg_sqrt_h: Annotated[float, Spec(
+        'Angular random walk', 'deg/sqrt(h)', 0.0, 100.0)] = 0.001
+
+
+@dataclass(frozen=True)
+class StarTrackerConfig:
+    """Star tracker."""
+
+    rate_hz: Annotated[float, Spec('Frame rate', 'Hz', 0.01, 1000.0)] = 2.0
+    exposure_s: Annotated[float, Spec('Exposure', 's', 0.0, 10.0)] = 0.18
+    centroid_sigma_px: Annotated[float, Spec(
+        'Standard deviation of a centroid, each axis; in a recording that states its own sigma '
+        'for a star, that one counts', 'px', 0.0, 100.0)] = 0.05
+    limiting_magnitude: Annotated[float, Spec(
+        'Faintest star that is measured, Hp', 'mag', -2.0, 14.0)] = 6.0
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """Rotations about the gyro axes, one after the other and then from the start again."""
+
+    axes: Annotated[Strings, Spec(
+        'Axis of each rotation, gyro frame', choices=('x', 'y', 'z'))] = (
+            'x', 'y', 'z', 'z', 'y', 'x')
+    angles_deg: Annotated[Floats, Spec('Angle of each rotation', 'deg', -360.0, 360.0)] = (
+        30.0, 30.0, 30.0, -30.0, -30.0, -30.0)
+    rate_deg_s: Annotated[float, Spec('Slew rate', 'deg/s', 1e-3, 100.0)] = 0.5
+    acceleration_deg_s2: Annotated[float, Spec(
+        'Angular acceleration at both ends of a slew', 'deg/s^2', 1e-3, 1e4)] = 0.5
+    dwell_s: Annotated[float, Spec('Rest before each rotation', 's', 0.0, 1e5)] = 30.0
+    initial_quaternion_xyzw: Annotated[Floats, Spec(
+        'Attitude at the start: quaternion of C_ig (gyro in icrf)', '', -1.0, 1.0, 4)] = (
+            0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class ObserverConfig:
+    """Where the camera is and how fast it moves: parallax and stellar aberration."""
+
+    velocity: Annotated[str, Spec(
+        'Whose velocity aberrates the stars', choices=('barycentre', 'geocentre', 'orbit'))
+    ] = 'geocentre'
+    altitude_km: Annotated[float, Spec('Circular orbit: altitude', 'km', 100.0, 1e6)] = 500.0
+    inclination_deg: Annotated[float, Spec(
+        'Circular orbit: inclination', 'deg', 0.0, 180.0)] = 97.4
+    raan_deg: Annotated[float, Spec(
+        'Circular orbit: right ascension of the ascending node', 'deg', -360.0, 360.0)] = 0.0
+    argument_of_latitude_deg: Annotated[float, Spec(
+        'Circular orbit: argument of latitude at the epoch', 'deg', -360.0, 360.0)] = 0.0
+    epoch_utc: Annotated[str, Spec('Circular orbit: epoch, ISO 8601')] = '2026-07-01T00:00:00'
+
+
+@dataclass(frozen=True)
+class TrueCameraConfig:
+    """The camera that the simulators use; what is left out is as the nominal camera."""
+
+    focal_length_mm: Annotated[float | None, Spec('Focal length', 'mm', 0.1, 1e5)] = None
+    principal_point_px: Annotated[Floats | None, Spec(
+        'Principal point u0, v0', 'px', -1e4, 1e4, 2)] = None
+    distortion: Annotated[Floats | None, Spec(
+        'Distortion k1, k2, p1, p2', 'mm^-2, mm^-4, mm^-1, mm^-1', -1.0, 1.0, 4)] = None
+
+
+@dataclass(frozen=True)
+class TrueGyroConfig:
+    """The gyro that the simulators use."""
+
+    bias_deg_h: Annotated[Floats | None, Spec('Bias', 'deg/h', -1e6, 1e6, 3)] = None
+
+
+@dataclass(frozen=True)
+class TruthConfig:
+    """What the simulators use in place of the nominal values."""
+
+    camera: TrueCameraConfig = field(default_factory=TrueCameraConfig)
+    mounting: MountingConfig = field(default_factory=MountingConfig)
+    gyro: TrueGyroConfig = field(default_factory=TrueGyroConfig)
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """When the simulated run begins, how long and how fast it is, and its randomness."""
+
+    start_utc: Annotated[str, Spec('Stamp at which the run begins, ISO 8601')] = (
+        '2026-07-02T12:00:00')
+    duration_s: Annotated[float, Spec('Length of the run', 's', 0.0, 1e7)] = 7200.0
+    seed: Annotated[int, Spec('Seed of all randomness', '', 0, 2**53)] = 1
+    real_time_factor: Annotated[float, Spec(
+        'Simulated seconds a second; 0 is as fast as the subscribers take it', '', 0.0, 1e6)
+    ] = 1.0
+    wait_for_subscribers: Annotated[int, Spec(
+        'Subscribers that each sensor topic must have before the run begins', '', 0, 100)] = 0
+
+
+@dataclass(frozen=True)
+class SigmaConfig:
+    """One standard deviation for each kind of calibrated state."""
+
+    gyro_bias_deg_h: Annotated[float, Spec('Gyro bias', 'deg/h', _TINY, 1e6)]
+    fixed_angles_arcsec: Annotated[float, Spec('Fixed angles', 'arcsec', _TINY, 1e6)]
+    principal_point_px: Annotated[float, Spec('Principal point', 'px', _TINY, 1e4)]
+    focal_length_mm: Annotated[float, Spec('Focal length', 'mm', _TINY, 1e4)]
+    k1: Annotated[float, Spec('Distortion k1', 'mm^-2', _TINY, 1.0)]
+    k2: Annotated[float, Spec('Distortion k2', 'mm^-4', _TINY, 1.0)]
+    p1: Annotated[float, Spec('Distortion p1', 'mm^-1', _TINY, 1.0)]
+    p2: Annotated[float, Spec('Distortion p2', 'mm^-1', _TINY, 1.0)]
+
+
+def _initial_sigma() -> SigmaConfig:
+    return SigmaConfig(gyro_bias_deg_h=0.1, fixed_angles_arcsec=600.0, principal_point_px=20.0,
+                       focal_length_mm=0.2, k1=1e-3, k2=1e-5, p1=1e-4, p2=1e-4)
+
+
+def _tolerance() -> SigmaConfig:
+    return SigmaConfig(gyro_bias_deg_h=2e-3, fixed_angles_arcsec=5.0, principal_point_px=0.1,
+                       focal_length_mm=2e-4, k1=2e-6, k2=2e-7, p1=1e-6, p2=1e-6)
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """The 16-state filter."""
+
+    initial_sigma: SigmaConfig = field(default_factory=_initial_sigma)
+    tolerance: SigmaConfig = field(default_factory=_tolerance)
+    feedback: Annotated[bool, Spec(
+        'Correct the nominal values after each frame; false is the open-loop filter of the '
+        'paper')] = True
+    gate_probability: Annotated[float, Spec(
+        'Probability with which a good star passes the chi-square gate', '', 0.5, 1.0)] = 0.9999
+    reacquire_after_frames: Annotated[int, Spec(
+        'Frames in a row, most of their stars rejected, before the attitude is found afresh',
+        '', 1, 1000)] = 5
+    gap_acceleration_deg_s2: Annotated[float, Spec(
+        'Angular acceleration that may hide in a silence of the gyro', 'deg/s^2', 0.0, 1e4)
+    ] = 1.0
+    calibration_file: Annotated[str, Spec(
+        'Where the service save_calibration writes the result')] = 'calibration.json'
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """The recorder node."""
+
+    output: Annotated[str, Spec('File to write; must not exist')] = 'run.mcap'
+    topics: Annotated[Strings, Spec(
+        'Topics to record; empty is all topics of the suite')] = ()
+
+
+@dataclass(frozen=True)
+class PlayerConfig:
+    """The player node."""
+
+    bag: Annotated[str, Spec('Recording to publish again')] = ''
+    rate: Annotated[float, Spec(
+        'Recorded seconds a second; 0 is as fast as the subscribers take it', '', 0.0, 1e6)] = 1.0
+    topics: Annotated[Strings, Spec(
+        'Topics to publish; empty is all but the results (starcal/*)')] = ()
+    wait_for_subscribers: Annotated[int, Spec(
+        'Subscribers that each sensor topic must have before the replay begins', '', 0, 100)] = 0
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """All groups of one parameter file."""
+
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    mounting: MountingConfig = field(default_factory=MountingConfig)
+    gyro: GyroConfig = field(default_factory=GyroConfig)
+    star_tracker: StarTrackerConfig = field(default_factory=StarTrackerConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    observer: ObserverConfig = field(default_factory=ObserverConfig)
+    truth: TruthConfig = field(default_factory=TruthConfig)
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    recorder: RecorderConfig = field(default_factory=RecorderConfig)
+    player: PlayerConfig = field(default_factory=PlayerConfig)
+
+    def __post_init__(self) -> None:
+        for key, parameter in parameters().items():
+            parameter.check(key, _get(self, key))
+        _check_together(self)
+
+    def flat(self) -> dict[str, Any]:
+        """Return every parameter that has a value, by its dotted name."""
+        values = ((key, _get(self, key)) for key in parameters())
+        return {key: value for key, value in values if value is not None}
+
+    def replace(self, values: Mapping[str, Any]) -> Scenario:
+        """Return a copy with some parameters, given by dotted name, replaced."""
+        return from_flat({**self.flat(), **values})
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all values: two scenarios are the same when this is."""
+        text = json.dumps(self.flat(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One declared parameter: its Python type, default and meaning."""
+
+    kind: type
+    optional: bool
+    default: Any
+    spec: Spec
+
+    @property
+    def is_array(self) -> bool:
+        """Tell whether the value is a tuple."""
+        return typing.get_origin(self.kind) is tuple
+
+    @property
+    def element(self) -> type:
+        """Type of the value, of an array that of its elements."""
+        element: type = typing.get_args(self.kind)[0] if self.is_array else self.kind
+        return element
+
+    def convert(self, key: str, value: Any) -> Any:
+        """Return the value in its own type, lists as tuples; raise ConfigError otherwise."""
+        if self.is_array and isinstance(value, (list, tuple)):
+            return tuple(self._scalar(key, item) for item in value)
+        if self.is_array:
+            raise ConfigError(f'{key}: got {value!r}, needs a list of {self.element.__name__}')
+        return self._scalar(key, value)
+
+    def _scalar(self, key: str, value: Any) -> Any:
+        if type(value) is not self.element:
+            hint = f'; write {value}.0' if self.element is float and type(value) is int else ''
+            raise ConfigError(f'{key}: got {value!r} ({type(value).__name__}), '
+                              f'needs a {self.element.__name__}{hint}')
+        return value
+
+    def check(self, key: str, value: Any) -> None:
+        """Raise ConfigError where the value is outside what the Spec allows."""
+        if value is None:
+            return
+        items = value if self.is_array else (value,)
+        spec = self.spec
+        if spec.length is not None and len(items) != spec.length:
+            raise ConfigError(f'{key}: got {len(items)} values, needs {spec.length}')
+        for item in items:
+            if spec.choices and item not in spec.choices:
+                raise ConfigError(
+                    f'{key}: got {item!r}, allowed are {", ".join(map(repr, spec.choices))}')
+            if self.element in (int, float) and not spec.low <= item <= spec.high:
+                raise ConfigError(f'{key}: got {item}, allowed is '
+                                  f'{spec.low:g} to {spec.high:g} {spec.unit}'.rstrip())
+
+
+def _walk(group: type, prefix: str, default: Any) -> Iterator[tuple[str, Parameter]]:
+    hints = typing.get_type_hints(group, include_extras=True)
+    for item in dataclasses.fields(group):
+        hint, value = hints[item.name], getattr(default, item.name)
+        key = prefix + item.name
+        if dataclasses.is_dataclass(hint):
+            yield from _walk(typing.cast(type, hint), key + '.', value)
+            continue
+        base, spec = typing.get_args(hint)
+        optional = typing.get_origin(base) in (Union, types.UnionType)
+        if optional:
+            base = next(arg for arg in typing.get_args(base) if arg is not types.NoneType)
+        yield key, Parameter(base, optional, value, spec)
+
+
+_PARAMETERS: dict[str, Parameter] = {}
+
+
+def parameters() -> Mapping[str, Parameter]:
+    """Return every parameter of the suite by its dotted name, in the order of declaration."""
+    if not _PARAMETERS:
+        groups = typing.get_type_hints(Scenario)
+        for item in dataclasses.fields(Scenario):
+            group = groups[item.name]
+            _PARAMETERS.update(_walk(group, item.name + '.', group()))
+    return _PARAMETERS
+
+
+def _get(scenario: Scenario, key: str) -> Any:
+    value: Any = scenario
+    for name in key.split('.'):
+        value = getattr(value, name)
+    return value
+
+
+def from_flat(values: Mapping[str, Any]) -> Scenario:
+    """Build a scenario from dotted names; what is absent takes its default.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown name, a wrong type or an impossible value.
+    """
+    known = parameters()
+    tree: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            hint = f'; did you mean {near[0]}?' if near else ''
+            raise ConfigError(f'{key}: unknown parameter{hint}')
+        *path, name = key.split('.')
+        branch = tree
+        for part in path:
+            branch = branch.setdefault(part, {})
+        branch[name] = known[key].convert(key, value)
+    return typing.cast(Scenario, _replace(Scenario(), tree))
+
+
+def _replace(default: Any, tree: Mapping[str, Any]) -> Any:
+    return dataclasses.replace(default, **{
+        name: _replace(getattr(default, name), value) if isinstance(value, dict) else value
+        for name, value in tree.items()})
+
+
+def _check_together(scenario: Scenario) -> None:
+    for name, mounting in (('mounting', scenario.mounting),
+                           ('truth.mounting', scenario.truth.mounting)):
+        if mounting.fixed_angles_deg is not None and mounting.quaternion_xyzw is not None:
+            raise ConfigError(f'{name}: fixed_angles_deg and quaternion_xyzw are both given, '
+                              'one is allowed')
+    for key in ('mounting.quaternion_xyzw', 'truth.mounting.quaternion_xyzw',
+                'motion.initial_quaternion_xyzw'):
+        value = _get(scenario, key)
+        if value is not None and abs(math.hypot(*value) - 1.0) > 1e-6:
+            raise ConfigError(f'{key}: got norm {math.hypot(*value):.9g}, a quaternion has norm 1')
+    motion = scenario.motion
+    if not motion.axes or len(motion.axes) != len(motion.angles_deg):
+        raise ConfigError(f'motion.angles_deg: got {len(motion.angles_deg)} angles for '
+                          f'{len(motion.axes)} axes, needs as many, and at least one')
+    for key in ('observer.epoch_utc', 'simulation.start_utc'):
+        stamp_ns(key, _get(scenario, key))
+
+
+def stamp_ns(key: str, text: str) -> int:
+    """Return an ISO 8601 time (UTC unless it says otherwise) as Unix nanoseconds."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        raise ConfigError(f'{key}: got {text!r}, needs an ISO 8601 time such as '
+                          '2026-07-02T12:00:00') from None
+    if when.tzinfo is None:
+        when = when.replace(tzinfo=timezone.utc)
+    since = when - datetime(1970, 1, 1, tzinfo=timezone.utc)
+    return (since.days * 86400 + since.seconds) * 10**9 + since.microseconds * 1000
+
+
+def _flatten(tree: Mapping[Any, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flatten(value, f'{prefix}{name}.')
+        else:
+            yield f'{prefix}{name}', value
+
+
+def parse(text: str, source: str) -> Scenario:
+    """Read a ROS 2 parameter file from its text; `source` is named in errors."""
+    try:
+        document = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        where = getattr(error, 'problem_mark', None)
+        line = f', line {where.line + 1}' if where else ''
+        raise ConfigError(f'{source}{line}: not YAML: '
+                          f'{getattr(error, "problem", error)}') from None
+    try:
+        tree = document['/**']['ros__parameters']
+        values = dict(_flatten(tree))
+    except (TypeError, KeyError, AttributeError):
+        raise ConfigError(f'{source}: not a ROS 2 parameter file, needs "/**:" with '
+                          '"ros__parameters:" below it') from None
+    try:
+        return from_flat(values)
+    except ConfigError as error:
+        raise ConfigError(f'{source}: {error}') from None
+
+
+def load(path: str | Path) -> Scenario:
+    """Read a scenario from a ROS 2 parameter file.
+
+    Raises
+    ------
+    ConfigError
+        Where the file cannot be read or holds anything that is not allowed.
+    """
+    try:
+        text = Path(path).read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else 'not a text file'
+        raise ConfigError(f'{path}: cannot be read: {reason}') from None
+    return parse(text, str(path))
+
+
+def dump(scenario: Scenario) -> str:
+    """Return the scenario as a ROS 2 parameter file; `parse` gives it back."""
+    tree: dict[str, Any] = {}
+    for key, value in scenario.flat().items():
+        if isinstance(value, tuple) and not value:
+            continue                # an empty list has no type, rclpy would refuse it
+        *path, name = key.split('.')
+        branch = tree
+        for part in path:
+            branch = branch.setdefault(part, {})
+        branch[name] = [_quoted(item) for item in value] if isinstance(value, tuple) else (
+            _quoted(value))
+    return yaml.dump({'/**': {'ros__parameters': tree}}, Dumper=_Dumper, sort_keys=False)
+
+
+class _Quoted(str):
+    """A string that is written in quotes: rcl reads a bare y, n, on or off as a bool."""
+
+
+def _quoted(value: Any) -> Any:
+    return _Quoted(value) if isinstance(value, str) else value
+
+
+class _Dumper(yaml.SafeDumper):                         # type: ignore[misc]  # no hints
+    pass
+
+
+_Dumper.add_representer(_Quoted, lambda dumper, value: dumper.represent_scalar(
+    'tag:yaml.org,2002:str', str(value), style="'"))

@@ -1,0 +1,42 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From parameters to the objects of the core: detector, intrinsics, mounting, observer."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import rotation
+from starcal_ros.camera import Detector
+from starcal_ros.config import CameraConfig, MountingConfig, ObserverConfig, TrueCameraConfig
+from starcal_ros.sky import Observer
+
+Array = NDArray[np.float64]
+
+
+def detector(camera: CameraConfig) -> Detector:
+    """Return the pixels of a camera."""
+    return Detector(camera.width, camera.height, camera.pixel_pitch_mm)
+
+
+def intrinsics(camera: CameraConfig, instead: TrueCameraConfig | None = None) -> Array:
+    """Return the intrinsics, (7,); what `instead` states replaces the nominal values."""
+    values = []
+    for name in ('principal_point_px', 'focal_length_mm', 'distortion'):
+        value = getattr(instead, name, None)
+        values.append(getattr(camera, name) if value is None else value)
+    return np.hstack(values).astype(float)
+
+
+def mounting_matrix(mounting: MountingConfig) -> Array:
+    """Return C_sg, (3, 3); the identity where the mounting is not stated."""
+    if mounting.quaternion_xyzw is not None:
+        return rotation.orthonormalized(rotation.to_matrix(np.array(mounting.quaternion_xyzw)))
+    return rotation.from_fixed_angles(np.radians(mounting.fixed_angles_deg or (0.0, 0.0, 0.0)))
+
+
+def observer(config: ObserverConfig) -> Observer:
+    """Return who looks at the sky."""
+    return Observer(config.velocity, config.altitude_km, config.inclination_deg,
+                    config.raan_deg, config.argument_of_latitude_deg, config.epoch_utc)

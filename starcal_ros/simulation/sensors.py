@@ -1,0 +1,36 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The two simulated sensors of a scenario, each with its own stream of randomness."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from starcal_ros import catalog
+from starcal_ros.config import Scenario
+from starcal_ros.simulation.gyro import GyroSimulator
+from starcal_ros.simulation.star_tracker import StarTrackerSimulator
+from starcal_ros.simulation.truth import Truth
+
+
+def _rng(scenario: Scenario, sensor: int) -> np.random.Generator:
+    # A child stream by its number: a process that simulates one sensor need not make the other.
+    return np.random.default_rng(np.random.SeedSequence(scenario.simulation.seed,
+                                                        spawn_key=(sensor,)))
+
+
+def star_tracker(scenario: Scenario) -> StarTrackerSimulator:
+    """Return the star tracker of a scenario.
+
+    Raises
+    ------
+    ValueError
+        Where the catalogue does not reach down to the limiting magnitude.
+    """
+    stars = catalog.load(scenario.star_tracker.limiting_magnitude)
+    return StarTrackerSimulator(scenario, Truth.from_scenario(scenario), stars, _rng(scenario, 0))
+
+
+def gyro(scenario: Scenario) -> GyroSimulator:
+    """Return the gyro of a scenario."""
+    return GyroSimulator(scenario, Truth.from_scenario(scenario), _rng(scenario, 1))

@@ -1,0 +1,86 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Star tracker: the stars in view at their apparent places, projected, with centroid noise.
+
+    uv_m = project(C_si u_i) + sigma n,    n ~ N(0, I)                          (T18 Eq. 5, 6)
+
+``u_i`` is the apparent place at the frame's stamp. A star is measured where its true image falls
+on the detector; all stars down to the limiting magnitude are, and all are identified.
+"""
+
+from __future__ import annotations
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import camera, sky
+from starcal_ros.catalog import Catalog
+from starcal_ros.config import Scenario
+from starcal_ros.measurements import Frames
+from starcal_ros.scenario import observer
+from starcal_ros.simulation.truth import Truth
+
+_MARGIN = 1e-3          # rad, more than aberration and proper motion move a star
+_BATCH = 500            # frames whose stars are searched at once: 20 MB
+
+
+class StarTrackerSimulator:
+    """The frames of one run, in order, in batches of any size.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Rate, noise, limiting magnitude, observer, duration and start.
+    truth : Truth
+        Camera, mounting and attitude.
+    stars : Catalog
+        The sky, down to the limiting magnitude at least.
+    rng : np.random.Generator
+        The sensor's own stream; a run is the same to the bit however it is cut into batches.
+    """
+
+    def __init__(self, scenario: Scenario, truth: Truth, stars: Catalog,
+                 rng: np.random.Generator) -> None:
+        tracker = scenario.star_tracker
+        self.count = int(scenario.simulation.duration_s * tracker.rate_hz + 1e-6)
+        self.next_index = 0
+        self._period_ns = 1e9 / tracker.rate_hz
+        self._sigma = tracker.centroid_sigma_px
+        self._stars = stars.brighter_than(tracker.limiting_magnitude)
+        self._direction = erfa.s2c(self._stars.ra, self._stars.dec)
+        self._observer = observer(scenario.observer)
+        self.truth = truth
+        self._rng = rng
+        half = truth.detector.pitch_mm * np.hypot(truth.detector.width, truth.detector.height) / 2
+        offset = np.hypot(*truth.intrinsics[:2]) * truth.detector.pitch_mm
+        # 1.1: the distortion may draw in stars from outside the pinhole field
+        self._cos_radius = np.cos(np.arctan2(1.1 * half + offset, truth.intrinsics[2]) + _MARGIN)
+
+    def stamp_ns(self, index: np.typing.ArrayLike) -> NDArray[np.int64]:
+        """Return the stamp of the frame with an index from 0: the middle of its exposure."""
+        steps = np.rint(np.asarray(index) * self._period_ns).astype(np.int64)
+        return self.truth.motion.start_ns + steps
+
+    def next(self, count: int) -> Frames:
+        """Return the next frames: `count` of them, fewer at the end of the run."""
+        stop = min(self.next_index + count, self.count)
+        stamps = self.stamp_ns(np.arange(self.next_index, stop))
+        self.next_index = stop
+        return Frames.concatenate([self._observe(stamps[k:k + _BATCH])
+                                   for k in range(0, len(stamps), _BATCH)])
+
+    def _observe(self, stamps_ns: NDArray[np.int64]) -> Frames:
+        C_si = self.truth.attitude_si(stamps_ns)
+        near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
+        frame, star = np.nonzero(near)
+        u_i = sky.apparent_places(self._stars, star, stamps_ns, near.sum(axis=1), self._observer)
+        r_s = (C_si[frame] @ u_i[..., None])[..., 0]
+        uv = camera.project(r_s, self.truth.intrinsics, self.truth.detector.pitch_mm)
+        seen = self.truth.detector.contains(uv)
+        frame, star, uv = frame[seen], star[seen], uv[seen]
+        uv = uv + self._sigma * self._rng.standard_normal(uv.shape)
+        counts = np.bincount(frame, minlength=len(stamps_ns))
+        return Frames(stamps_ns, np.concatenate(([0], np.cumsum(counts))),
+                      uv + self.truth.detector.centre_raster, np.full(len(uv), self._sigma),
+                      self._stars.magnitude[star], self._stars.hip[star])

@@ -1,0 +1,78 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The true values behind a simulated recording: camera, mounting, bias, attitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import rotation
+from starcal_ros.camera import INTRINSICS_KEYS, Detector
+from starcal_ros.config import Scenario
+from starcal_ros.scenario import detector, intrinsics, mounting_matrix
+from starcal_ros.simulation.motion import Motion
+from starcal_ros.units import DEG_PER_HOUR
+
+Array = NDArray[np.float64]
+
+VECTOR_LABEL = ('gyro_bias_rad_s[3] fixed_angles_rad[3] u0_px v0_px f_mm k1_mm-2 k2_mm-4 p1_mm-1 '
+                'p2_mm-1')
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulated sensors see.
+
+    Attributes
+    ----------
+    motion : Motion
+        Attitude as a function of time.
+    detector : Detector
+        Pixels of the camera.
+    intrinsics : (7,) array
+        Camera, as in `starcal_ros.camera`.
+    C_sg : (3, 3) array
+        Mounting.
+    bias : (3,) array
+        Gyro bias, in g [rad/s].
+    """
+
+    motion: Motion
+    detector: Detector
+    intrinsics: Array
+    C_sg: Array
+    bias: Array
+
+    @classmethod
+    def from_scenario(cls, scenario: Scenario) -> Truth:
+        """Take each value from the group ``truth``, or the nominal one where it is left out."""
+        truth = scenario.truth
+        given = truth.mounting.fixed_angles_deg or truth.mounting.quaternion_xyzw
+        bias = truth.gyro.bias_deg_h or scenario.gyro.bias_deg_h
+        return cls(Motion.from_scenario(scenario), detector(scenario.camera),
+                   intrinsics(scenario.camera, truth.camera),
+                   mounting_matrix(truth.mounting if given else scenario.mounting),
+                   np.array(bias) * DEG_PER_HOUR)
+
+    def attitude_si(self, stamps_ns: NDArray[np.int64]) -> Array:
+        """Return C_si, (n, 3, 3), of the star tracker at each stamp."""
+        return self.C_sg @ np.swapaxes(self.motion.attitude(stamps_ns), -1, -2)
+
+    def vector(self) -> Array:
+        """Return the values of ``truth/parameters``, (13,), as VECTOR_LABEL names them."""
+        return np.concatenate((self.bias, rotation.to_fixed_angles(self.C_sg), self.intrinsics))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the constant values under the names of RESULT.json."""
+        return {
+            'intrinsics': dict(zip(INTRINSICS_KEYS, self.intrinsics.tolist())),
+            'gyro_bias_deg_h': (self.bias / DEG_PER_HOUR).tolist(),
+            'mounting': {
+                'quaternion_xyzw': rotation.to_quaternion(self.C_sg).tolist(),
+                'fixed_angles_deg': np.degrees(rotation.to_fixed_angles(self.C_sg)).tolist(),
+            },
+        }

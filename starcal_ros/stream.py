@@ -1,0 +1,364 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From messages to estimates: what live node and offline command both run.
+
+Gyro samples and frames come in as they arrive, in batches of any size. A frame is processed as
+soon as a gyro sample reaches its stamp, whatever the order in which the two topics came, so the
+estimates depend on the messages alone: a live run and the calibration of its recording agree.
+
+Nothing that comes in stops the stream. What can not be used is dropped, counted (`Counts`) and
+named once in `Stream.take_notices`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import catalog, preintegration, sky
+from starcal_ros.acquisition import AcquisitionError, acquire
+from starcal_ros.config import Scenario
+from starcal_ros.estimator import EPSILON, PHI, SIGMA_ACQUIRED, Belief, Filter, Stars, Update
+from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.preintegration import GAP, Preintegrated
+from starcal_ros.scenario import observer
+from starcal_ros.units import NS
+
+Array = NDArray[np.float64]
+
+REPROJECTION_S = 600.0
+"""Time over which the reprojection error is taken, T18 Sec. 3.1 [s]."""
+
+_GYRO_KEPT_S = 3600.0       # readings kept while no frame comes [s]
+_FRAMES_KEPT = 20_000       # frames kept while no gyro comes
+_BATCH = 2000               # frames prepared at once
+_NAMED = 20                 # notices of one kind, at most
+
+
+@dataclass
+class Counts:
+    """What came in and what became of it."""
+
+    gyro: int = 0                   # readings used
+    frames: int = 0                 # frames processed
+    stars: int = 0                  # stars used
+    rejected_stars: int = 0         # stars outside the gate
+    unusable_stars: int = 0         # not finite, behind the camera, or without a catalogue place
+    empty_frames: int = 0           # frames without a usable star
+    gyro_gaps: int = 0              # silences of the gyro
+    missing_gyro: int = 0           # readings that the stamps say are missing
+    missing_frames: int = 0         # frames that the stamps say are missing
+    dropped_messages: int = 0       # messages late, duplicate or not finite
+    acquisitions: int = 0           # times the attitude was found from the stars
+
+
+class FrameResult(NamedTuple):
+    """What one frame gave; per star in the order of its message.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Its stamp.
+    belief : Belief
+        After the frame.
+    uv_raster : (n, 2) array
+        Measured centroids [px].
+    residual : (n, 2) array
+        Measured minus predicted centroid after the update [px]; NaN for a star without place.
+    chi2 : (n,) array
+        Normalised innovation squared, two degrees of freedom; NaN likewise.
+    accepted : (n,) bool array
+        Stars used.
+    catalog_id : (n,) int64 array
+        Hipparcos numbers.
+    nis : float
+        Normalised innovation squared of all stars used, ``2 * accepted.sum()`` degrees of freedom.
+    """
+
+    stamp_ns: int
+    belief: Belief
+    uv_raster: Array
+    residual: Array
+    chi2: Array
+    accepted: NDArray[np.bool_]
+    catalog_id: NDArray[np.int64]
+    nis: float
+
+
+class Track(NamedTuple):
+    """The integrated attitude at gyro stamps.
+
+    Attributes
+    ----------
+    stamp_ns : (n,) int64 array
+        Stamps.
+    C_gi : (n, 3, 3) array
+        Attitude.
+    covariance : (n, 3, 3) array
+        Of the attitude error, in i [rad^2].
+    rate : (n, 3) array
+        Angular velocity without bias, in g [rad/s].
+    """
+
+    stamp_ns: NDArray[np.int64]
+    C_gi: Array
+    covariance: Array
+    rate: Array
+
+
+class Stream:
+    """Estimates from gyro samples and frames as they come.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its nominal values, observer and estimator options; never its truth.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.filter = Filter(scenario)
+        self.counts = Counts()
+        self.belief: Belief | None = None
+        self.stamp_ns = 0                               # of the last frame processed
+        self._period_ns = 1e9 / scenario.gyro.rate_hz
+        self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
+        self._sigma = scenario.star_tracker.centroid_sigma_px
+        self._patience = scenario.estimator.reacquire_after_frames
+        self._observer = observer(scenario.observer)
+        self._gyro = GyroSamples.empty()
+        self._frames: list[Frames] = []
+        self._newest_frame_ns = np.iinfo(np.int64).min
+        self._refused_in_a_row = 0
+        self._recent: deque[tuple[int, Array, int]] = deque()
+        self._tracked_ns = np.iinfo(np.int64).min
+        self._notices: list[str] = []
+        self._named: set[object] = set()
+
+    # Coming in
+
+    def add_gyro(self, samples: GyroSamples) -> None:
+        """Take gyro samples, in the order in which they arrived."""
+        last = self._gyro.stamp_ns[-1] if len(self._gyro) else np.iinfo(np.int64).min
+        finite = np.isfinite(samples.rate).all(axis=1)
+        if not finite.all():
+            self._notice('rate', f'gyro reading at {samples.stamp_ns[~finite][0]} ns is not '
+                         'finite: dropped')
+        good = GyroSamples(samples.stamp_ns[finite], samples.rate[finite])
+        fresh = _newer(good.stamp_ns, last)
+        if not fresh.all():
+            self._notice('gyro order', f'gyro reading at {good.stamp_ns[~fresh][0]} ns is not '
+                         'newer than the one before: dropped')
+        good = GyroSamples(good.stamp_ns[fresh], good.rate[fresh])
+        self.counts.dropped_messages += len(samples) - len(good)
+        self.counts.gyro += len(good)
+        if not len(good):
+            return
+        steps = np.diff(good.stamp_ns, prepend=last if len(self._gyro) else good.stamp_ns[0])
+        silent = steps > GAP * self._period_ns
+        self.counts.gyro_gaps += int(silent.sum())
+        self.counts.missing_gyro += int(np.rint(steps[silent] / self._period_ns - 1).sum())
+        if silent.any():
+            self._notice('gap', f'gyro silent for {steps[silent][0] * NS:.3f} s before '
+                         f'{good.stamp_ns[silent][0]} ns: bridged')
+        self._gyro = GyroSamples.concatenate((self._gyro, good))
+
+    def add_frames(self, frames: Frames) -> None:
+        """Take frames, in the order in which they arrived."""
+        fresh = _newer(frames.stamp_ns, self._newest_frame_ns)
+        self.counts.dropped_messages += int((~fresh).sum())
+        if not fresh.all():
+            self._notice('frame order', f'frame at {frames.stamp_ns[~fresh][0]} ns is not newer '
+                         'than the one before: dropped')
+        stamps = frames.stamp_ns[fresh]
+        if len(stamps):
+            before = self._newest_frame_ns if self._newest_frame_ns > 0 else stamps[0]
+            steps = np.rint(np.diff(stamps, prepend=before) / self._frame_period_ns) - 1
+            self.counts.missing_frames += int(np.maximum(steps, 0).sum())
+            self._newest_frame_ns = int(stamps[-1])
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], fresh, [False])).astype(int)))
+        self._frames += [frames[low:high] for low, high in edges.reshape(-1, 2)]
+        excess = sum(map(len, self._frames)) - _FRAMES_KEPT
+        if excess > 0 and not len(self._gyro):
+            self._notice('no gyro', f'{_FRAMES_KEPT} frames wait for a gyro reading: the oldest '
+                         'are dropped')
+            self._frames = [Frames.concatenate(self._frames)[excess:]]
+            self.counts.dropped_messages += excess
+
+    # Going out
+
+    @property
+    def waiting(self) -> int:
+        """Number of frames that wait for a gyro sample to reach them."""
+        return sum(map(len, self._frames))
+
+    def take_notices(self) -> list[str]:
+        """Return what happened that a user should know, once."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def process(self) -> Iterator[FrameResult]:
+        """Process the frames that the gyro has reached; to be run to its end."""
+        if not len(self._gyro):
+            return
+        if not self._frames:
+            self._forget_gyro_before(int(self._gyro.stamp_ns[-1] - _GYRO_KEPT_S / NS))
+            return
+        frames = Frames.concatenate(self._frames)
+        ready = int(np.searchsorted(frames.stamp_ns, self._gyro.stamp_ns[-1], side='right'))
+        self._frames = [frames[ready:]] if ready < len(frames) else []
+        for low in range(0, ready, _BATCH):
+            yield from self._process(frames[low:min(low + _BATCH, ready)])
+
+    def track(self) -> Track:
+        """Return the attitude at each gyro sample since the last call, from the last update."""
+        stamps = self._gyro.stamp_ns
+        if self.belief is None or not len(stamps) or stamps[-1] <= self.stamp_ns:
+            return Track(np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty((0, 3, 3)),
+                         np.empty((0, 3)))
+        belief, estimate = self.belief, self.belief.estimate
+        pieces = preintegration.cut(
+            self._gyro, np.array([self.stamp_ns, stamps[-1]]), self._period_ns)
+        C_gi = preintegration.track(estimate.C_gi, pieces, estimate.bias)
+        new = np.isin(pieces.end_ns, stamps) & (pieces.end_ns > self._tracked_ns)
+        self._tracked_ns = int(stamps[-1])
+        elapsed = (pieces.end_ns[new] - self.stamp_ns)[:, None, None] * NS
+        root = belief.state_root
+        root = root[PHI] + elapsed * (estimate.C_gi.T @ root[EPSILON])
+        spread = (self.filter.walk**2 * elapsed
+                  + (self.filter.gap_acceleration
+                     * np.cumsum(pieces.gap_turn)[new, None, None])**2)
+        covariance = root @ np.swapaxes(root, -1, -2) + spread * np.eye(3)
+        return Track(pieces.end_ns[new], C_gi[new], covariance,
+                     pieces.rate[new] - estimate.bias)
+
+    @property
+    def tracking(self) -> bool:
+        """Whether the stars agree with the attitude: most of the last frame was used."""
+        return self.belief is not None and self._refused_in_a_row == 0
+
+    def attitude_now(self) -> tuple[int, Array]:
+        """Return the integrated attitude C_gi, (3, 3), at the last gyro sample, and its stamp.
+
+        Only after a frame has given an attitude.
+        """
+        assert self.belief is not None
+        estimate, last = self.belief.estimate, int(self._gyro.stamp_ns[-1])
+        if last <= self.stamp_ns:
+            return self.stamp_ns, estimate.C_gi
+        pieces = preintegration.cut(
+            self._gyro, np.array([self.stamp_ns, last]), self._period_ns)
+        return last, preintegration.track(estimate.C_gi, pieces, estimate.bias)[-1]
+
+    @property
+    def reprojection_rms_px(self) -> Array:
+        """RMS residual of the stars used in the last ten minutes, u and v, (2,) [px]."""
+        squares = sum((part for _, part, _ in self._recent), np.zeros(2))
+        return np.sqrt(squares / max(sum(count for *_, count in self._recent), 1))
+
+    # Inside
+
+    def _process(self, frames: Frames) -> Iterator[FrameResult]:
+        stars = self._locate(frames)
+        begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
+        cuts = np.concatenate(([begin], frames.stamp_ns))
+        gyro = preintegration.preintegrate(
+            self._gyro, cuts, self.filter.start.bias, self._period_ns)
+        for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
+            rows = slice(frames.first[k], frames.first[k + 1])
+            frame = Stars(*(part[rows] for part in stars))
+            belief = self.belief
+            if belief is not None:
+                belief = self.filter.propagate(
+                    belief, Preintegrated(*(part[k] for part in gyro)))
+            self.stamp_ns = stamp_ns
+            self.counts.frames += 1
+            self.counts.empty_frames += not np.isfinite(frame.sigma).any()
+            start = self._with_attitude(belief, frame)
+            if start is None:
+                continue
+            belief, frame = start
+            update = self.filter.update(belief, frame)
+            self.belief = update.belief
+            self._account(update, np.isfinite(stars.sigma[rows]))
+            yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows], update.residual,
+                              update.chi2, update.accepted, frames.catalog_id[rows],
+                              float(update.nis))
+        self._forget_gyro_before(self.stamp_ns)
+
+    def _locate(self, frames: Frames) -> Stars:
+        """Return the stars of many frames; the sigma of one that can not be used is infinite."""
+        stars = catalog.load_containing(frames.catalog_id)
+        row = stars.rows(frames.catalog_id)
+        frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+        uv = frames.uv_raster - self.filter.detector.centre_raster
+        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
+        measured = np.isfinite(uv).all(axis=1) & np.isfinite(sigma) & (sigma > 0.0)
+        usable = measured & (row >= 0)
+        self.counts.unusable_stars += int((~usable).sum())
+        for k in np.flatnonzero(~measured)[:1]:
+            self._notice('star', f'star {frames.catalog_id[k]} of the frame at '
+                         f'{frames.stamp_ns[frame[k]]} ns has u, v = {uv[k]}, sigma = {sigma[k]}: '
+                         'left out')
+        unknown = frames.catalog_id[measured & (row < 0)]
+        for number in np.unique(unknown[unknown != 0])[:_NAMED].tolist():
+            self._notice(number, f'star number {number} is not in the catalogue: left out')
+        if (unknown == 0).any():
+            self._notice(0, 'stars without a number (catalog_id 0) are left out')
+        u_i = np.tile([0.0, 0.0, 1.0], (len(uv), 1))
+        u_i[usable] = sky.apparent_places(
+            stars, row[usable], frames.stamp_ns,
+            np.bincount(frame[usable], minlength=len(frames)), self._observer)
+        return Stars(u_i, np.where(usable[:, None], uv, 0.0), np.where(usable, sigma, np.inf))
+
+    def _with_attitude(self, belief: Belief | None, frame: Stars) -> tuple[Belief, Stars] | None:
+        """Return a belief that a frame may correct, its attitude found afresh where it is lost."""
+        lost = belief is None or self._refused_in_a_row >= self._patience or bool(
+            (belief.tracker_sigma > SIGMA_ACQUIRED).any())
+        if belief is not None and not lost:
+            return belief, frame
+        try:
+            found = acquire(self.filter, belief, frame)
+        except AcquisitionError as error:
+            self._notice('acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
+            return None if belief is None else (belief, frame)
+        self.counts.acquisitions += 1
+        self._refused_in_a_row = 0
+        if belief is not None and self.counts.acquisitions <= _NAMED:
+            self._notices.append(f'attitude lost, found again at {self.stamp_ns} ns')
+        return found
+
+    def _account(self, update: Update, usable: NDArray[np.bool_]) -> None:
+        used = int(update.accepted.sum())
+        refused = int(usable.sum()) - used
+        self.counts.stars += used
+        self.counts.rejected_stars += refused
+        self._refused_in_a_row = self._refused_in_a_row + 1 if refused > used else 0
+        if self._refused_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
+            self._notices.append(f'most stars refused in {self._patience} frames up to '
+                                 f'{self.stamp_ns} ns: the attitude is sought afresh')
+        squares = np.sum(update.residual[update.accepted]**2, axis=0)
+        self._recent.append((self.stamp_ns, squares, used))
+        while self._recent[0][0] < self.stamp_ns - REPROJECTION_S / NS:
+            self._recent.popleft()
+
+    def _forget_gyro_before(self, stamp_ns: int) -> None:
+        # The reading at or before the stamp stays: the next one begins where it ends.
+        first = int(np.searchsorted(self._gyro.stamp_ns, stamp_ns, side='right')) - 1
+        if first > 0:
+            self._gyro = self._gyro[first:]
+
+    def _notice(self, key: object, text: str) -> None:
+        if key not in self._named:
+            self._named.add(key)
+            self._notices.append(text)
+
+
+def _newer(stamps: NDArray[np.int64], last: int) -> NDArray[np.bool_]:
+    """Tell which stamps are larger than all before them and than `last`."""
+    before = np.concatenate(([last], np.maximum.accumulate(stamps)))[:-1]
+    return stamps > np.maximum(before, last)

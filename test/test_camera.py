@@ -1,0 +1,101 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The camera model: exact cases, derivatives, inverse."""
+
+import numpy as np
+import pytest
+
+from starcal_ros import camera, rotation
+
+PITCH = 0.00645
+T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])      # T18 Table 1
+PINHOLE = np.array([0.0, 0.0, 25.6, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def directions():
+    tangents = np.random.default_rng(3).uniform(-0.13, 0.13, (40, 2))
+    return np.column_stack((tangents, np.ones(40)))
+
+
+def test_boresight_falls_on_the_principal_point():
+    np.testing.assert_array_equal(camera.project(np.array([[0.0, 0.0, 1.0]]), T18, PITCH),
+                                  [[5.0, 10.0]])
+
+
+def test_projection_has_the_minus_sign_of_T18_equation_3():
+    uv = camera.project(np.array([[0.01, 0.02, 1.0]]), PINHOLE, PITCH)
+    np.testing.assert_allclose(uv, [[-25.6 * 0.01 / PITCH, -25.6 * 0.02 / PITCH]], rtol=1e-14)
+
+
+def test_distortion_reaches_three_pixels_at_the_edge_of_the_detector_as_T18_states():
+    """T18 Sec. 3.1: 3 px before calibration; the largest on the edge (not in a corner)."""
+    edge = 512 * PITCH / 25.6
+    along = np.linspace(-edge, edge, 101)
+    r_s = np.concatenate([np.column_stack((along, np.full(101, side), np.ones(101)))
+                          for side in (-edge, edge)])
+    centred = T18.copy()
+    centred[:2] = 0.0
+    shift = np.linalg.norm(camera.project(r_s, centred, PITCH)
+                           - camera.project(r_s, PINHOLE, PITCH), axis=-1)
+    assert 2.5 < shift.max() < 3.5
+
+
+@pytest.mark.parametrize('coefficient, expected', [
+    (3, [0.1 * 0.05, 0.2 * 0.05]),                       # k1: x r^2, y r^2
+    (4, [0.1 * 0.05**2, 0.2 * 0.05**2]),                 # k2: x r^4, y r^4
+    (5, [0.05 + 2 * 0.01, 2 * 0.02]),                    # p1: r^2 + 2 x^2, 2 x y
+    (6, [2 * 0.02, 0.05 + 2 * 0.04]),                    # p2: 2 x y, r^2 + 2 y^2
+])
+def test_each_distortion_term_is_that_of_T18_equation_4(coefficient, expected):
+    lens = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    lens[coefficient] = 1.0
+    uv = camera.project(np.array([[-0.1, -0.2, 1.0]]), lens, 1.0)   # x = 0.1, y = 0.2 mm
+    np.testing.assert_allclose(uv - [[0.1, 0.2]], [expected], rtol=1e-12)
+
+
+def test_linearize_gives_the_same_centroids_as_project(directions):
+    uv, _, _ = camera.linearize(directions, T18, PITCH)
+    np.testing.assert_allclose(uv, camera.project(directions, T18, PITCH), atol=1e-11)
+
+
+def test_rotation_jacobian_agrees_with_central_differences(directions):
+    _, H, _ = camera.linearize(directions, T18, PITCH)
+    h = 1e-6
+    numeric = np.stack([(camera.project(directions @ rotation.exp(h * axis).T, T18, PITCH)
+                         - camera.project(directions @ rotation.exp(-h * axis).T, T18, PITCH))
+                        / (2 * h) for axis in np.eye(3)], axis=-1)
+    # rounding of uv (1e-13 px) over 2 h, and the h^2 term: 1e-6 px/rad of 4e3
+    np.testing.assert_allclose(H, numeric, atol=2e-6)
+
+
+def test_intrinsics_jacobian_agrees_with_central_differences(directions):
+    _, _, H = camera.linearize(directions, T18, PITCH)
+    step = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-6, 1e-4, 1e-4])
+    numeric = np.stack([(camera.project(directions, T18 + step * axis, PITCH)
+                         - camera.project(directions, T18 - step * axis, PITCH))
+                        / (2 * step @ axis) for axis in np.eye(7)], axis=-1)
+    scale = np.abs(numeric).max(axis=(0, 1))
+    np.testing.assert_allclose(H / scale, numeric / scale, atol=1e-6)
+
+
+def test_unproject_inverts_project(directions):
+    unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    uv = camera.project(directions, T18, PITCH)
+    np.testing.assert_allclose(camera.unproject(uv, T18, PITCH), unit, atol=1e-14)
+
+
+def test_leading_axes_are_batches(directions):
+    batch = np.stack((T18, PINHOLE))
+    r_s = np.stack((directions, 1.1 * directions))
+    for k, part in enumerate(camera.linearize(r_s, batch, PITCH)):
+        for run in range(2):
+            np.testing.assert_array_equal(
+                part[run], camera.linearize(r_s[run], batch[run], PITCH)[k])
+
+
+def test_detector_contains_its_pixels_to_their_outer_edge():
+    detector = camera.Detector(1024, 768, PITCH)
+    inside = detector.contains(np.array([[512.0, 384.0], [512.1, 0.0], [0.0, -384.1]]))
+    assert inside.tolist() == [True, False, False]
+    np.testing.assert_array_equal(detector.centre_raster, [511.5, 383.5])
