@@ -18,6 +18,7 @@ import difflib
 import hashlib
 import json
 import math
+import re
 import types
 import typing
 from collections.abc import Iterator, Mapping
@@ -411,6 +412,8 @@ def _check_together(scenario: Scenario) -> None:
     if not motion.axes or len(motion.axes) != len(motion.angles_deg):
         raise ConfigError(f'motion.angles_deg: got {len(motion.angles_deg)} angles for '
                           f'{len(motion.axes)} axes, needs as many, and at least one')
+    if motion.dwell_s == 0.0 and not any(motion.angles_deg):
+        raise ConfigError('motion.dwell_s: got 0.0 and no angle but 0, needs a dwell or an angle')
     for key in ('observer.epoch_utc', 'simulation.start_utc'):
         stamp_ns(key, _get(scenario, key))
 
@@ -418,7 +421,7 @@ def _check_together(scenario: Scenario) -> None:
 def stamp_ns(key: str, text: str) -> int:
     """Return an ISO 8601 time (UTC unless it says otherwise) as Unix nanoseconds."""
     try:
-        when = datetime.fromisoformat(text)
+        when = datetime.fromisoformat(text.removesuffix('Z'))
     except ValueError:
         raise ConfigError(f'{key}: got {text!r}, needs an ISO 8601 time such as '
                           '2026-07-02T12:00:00') from None
@@ -439,7 +442,7 @@ def _flatten(tree: Mapping[Any, Any], prefix: str = '') -> Iterator[tuple[str, A
 def parse(text: str, source: str) -> Scenario:
     """Read a ROS 2 parameter file from its text; `source` is named in errors."""
     try:
-        document = yaml.safe_load(text)
+        document = yaml.load(text, Loader=_Loader)
     except yaml.YAMLError as error:
         where = getattr(error, 'problem_mark', None)
         line = f', line {where.line + 1}' if where else ''
@@ -486,6 +489,14 @@ def dump(scenario: Scenario) -> str:
         branch[name] = [_quoted(item) for item in value] if isinstance(value, tuple) else (
             _quoted(value))
     return yaml.dump({'/**': {'ros__parameters': tree}}, Dumper=_Dumper, sort_keys=False)
+
+
+class _Loader(yaml.SafeLoader):                         # type: ignore[misc]  # no hints
+    """With the floats of YAML 1.2, which rcl reads: 1e-3 has no point and no sign in YAML 1.1."""
+
+
+_Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(
+    r'[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$'), list('-+.0123456789'))
 
 
 class _Quoted(str):

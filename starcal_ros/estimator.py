@@ -73,6 +73,7 @@ UNIT = np.array([*(ARCSEC,) * 3, *(DEG_PER_HOUR,) * 3, *(ARCSEC,) * 3, *(1.0,) *
 SCALE = np.array([*(1e-5,) * 3, *(1e-8,) * 3, *(1e-5,) * 3, 0.1, 0.1, 1e-4, 1e-6, 1e-8, 1e-6,
                   1e-6])
 
+_FIELD = 1.5            # a star may be predicted this far out, in half diagonals
 _RESCALE = SCALE / SCALE[:, None]
 
 SIGMA_ACQUIRED = 1.0 * DEG
@@ -234,11 +235,18 @@ class Filter:
         self.initial_sigma = np.concatenate((np.full(3, SIGMA_ACQUIRED),
                                              _sigma_vector(options.initial_sigma)))
         self.tolerance = _sigma_vector(options.tolerance)
+        half = 0.5 * np.hypot(self.detector.width, self.detector.height) * self.detector.pitch_mm
+        self._cos_field = float(np.cos(np.arctan(_FIELD * half / scenario.camera.focal_length_mm)))
 
     def begin(self, C_gi: Array) -> Belief:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
-        nominal = replace(self.start, C_gi=C_gi)
-        return Belief(nominal, np.zeros(N_STATES), np.diag(self.initial_sigma / SCALE))
+        batch = C_gi.shape[:-2]
+        root = np.broadcast_to(np.diag(self.initial_sigma / SCALE), (*batch, N_STATES, N_STATES))
+        start = self.start
+        nominal = Nominal(C_gi, *(
+            np.broadcast_to(part, (*batch, *part.shape))
+            for part in (start.bias, start.C_sg, start.intrinsics)))
+        return Belief(nominal, np.zeros((*batch, N_STATES)), root)
 
     def reacquired(self, belief: Belief, C_gi: Array) -> Belief:
         """Return the belief with its attitude found afresh, the calibration kept."""
@@ -295,18 +303,19 @@ class Filter:
             Predicted centroids [px].
         H : (..., n, 2, 16) array
             d uv / d error, its attitude part theta.
-        ahead : (..., n) bool array
-            False for a star that is not in front of the camera; its row means nothing.
+        in_view : (..., n) bool array
+            False for a star that lies well outside the field of view; its row means nothing.
         """
         r_s = u_i @ np.swapaxes(nominal.C_si, -1, -2)
-        ahead = r_s[..., 2] > 0.1
-        if not ahead.all():
-            r_s = np.where(ahead[..., None], r_s, (0.0, 0.0, 1.0))
+        # Far outside the field the distortion means nothing, and its uncertainty everything.
+        in_view = r_s[..., 2] > self._cos_field * np.sqrt(np.sum(r_s * r_s, axis=-1))
+        if not in_view.all():
+            r_s = np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0))
         uv, H_s, H_intrinsics = camera.linearize(r_s, nominal.intrinsics, self.detector.pitch_mm)
         H = np.zeros((*H_s.shape[:-1], N_STATES))
         H[..., THETA] = H_s
         H[..., LENS] = H_intrinsics
-        return uv, H, ahead
+        return uv, H, in_view
 
     def update(self, belief: Belief, stars: Stars, gated: bool = True) -> Update:
         """Correct a belief with a frame (T18 Eq. 23 to 26).
@@ -320,11 +329,11 @@ class Filter:
         gated : bool
             Refuse stars whose chi-square lies outside the gate.
         """
-        uv, H, ahead = self.predict_centroids(belief.nominal, stars.u_i)
+        uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
         z = uv - stars.uv
         innovation = kalman.innovate(belief.root, H * SCALE, z - _apply(H, belief.error),
                                      stars.sigma)
-        usable = ahead & np.isfinite(stars.sigma)
+        usable = in_view & np.isfinite(stars.sigma)
         accepted = usable & (innovation.chi2 <= self.gate) if gated else usable
         step, root, nis = kalman.correct(belief.root, innovation, accepted)
         error = belief.error + SCALE * step

@@ -155,10 +155,8 @@ def _compose(theta: Array, dt: Array, interval: NDArray[np.int64], rank: NDArray
     width = 1 << int(rank.max(initial=0)).bit_length()
     Delta = np.broadcast_to(np.eye(3), (n, width, 3, 3)).copy()
     J = np.zeros((n, width, 3, 3))
-    cross = rotation.skew(theta)
     Delta[interval, rank] = rotation.exp(-theta)
-    # Right Jacobian of SO(3) at -theta, to second order: a piece turns by milliradians.
-    J[interval, rank] = dt[:, None, None] * (np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
+    J[interval, rank] = dt[:, None, None] * rotation.right_jacobian(-theta)
     while width > 1:
         first, second = Delta[:, ::2], Delta[:, 1::2]
         J = J[:, ::2] + np.swapaxes(first, -1, -2) @ J[:, 1::2]

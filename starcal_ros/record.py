@@ -24,6 +24,7 @@ from starcal_ros.measurements import Frames, GyroSamples
 
 GYRO_TOPIC = '/imu/data_raw'
 FRAMES_TOPIC = '/star_tracker/centroids'
+CONFIG_ATTACHMENT, TRUTH_ATTACHMENT = 'config.yaml', 'truth.json'
 
 _HASH_BYTES = 1 << 20
 

@@ -43,6 +43,18 @@ def exp_quaternion(phi: Array) -> Array:
     return q
 
 
+def right_jacobian(phi: Array) -> Array:
+    """Return J, (..., 3, 3), with ``exp(phi + d) = exp(phi) exp(J d)`` for small d."""
+    square = np.einsum('...i,...i->...', phi, phi)[..., None, None]
+    angle = np.sqrt(square)
+    small = angle < 1e-3                # the next terms of the series are below 1e-9
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    cross = skew(phi)
+    return np.eye(3) - first * cross + second * (cross @ cross)
+
+
 def log(C: Array) -> Array:
     """Return the rotation vector (..., 3), of length pi at most, of a rotation matrix [rad]."""
     q = to_quaternion(C)
@@ -99,9 +111,13 @@ def from_fixed_angles(angles: Array) -> Array:
 
 def to_fixed_angles(C_sg: Array) -> Array:
     """Return the fixed angles (..., 3) of a mounting matrix, y in [-pi/2, pi/2] [rad]."""
-    return np.stack((np.arctan2(C_sg[..., 2, 1], C_sg[..., 2, 2]),
-                     np.arctan2(-C_sg[..., 2, 0], np.hypot(C_sg[..., 0, 0], C_sg[..., 1, 0])),
-                     np.arctan2(C_sg[..., 1, 0], C_sg[..., 0, 0])), axis=-1)
+    x = np.arctan2(C_sg[..., 2, 1], C_sg[..., 2, 2])
+    y = np.arctan2(-C_sg[..., 2, 0], np.hypot(C_sg[..., 0, 0], C_sg[..., 1, 0]))
+    # Not from the first column, which vanishes at y = 90 deg: from C_sg Rx(-x) = Rz(z) Ry(y).
+    sin, cos = np.sin(x), np.cos(x)
+    z = np.arctan2(sin * C_sg[..., 0, 2] - cos * C_sg[..., 0, 1],
+                   cos * C_sg[..., 1, 1] - sin * C_sg[..., 1, 2])
+    return np.stack((x, y, z), axis=-1)
 
 
 def orthonormalized(C: Array) -> Array:

@@ -32,7 +32,8 @@ def intrinsics(camera: CameraConfig, instead: TrueCameraConfig | None = None) ->
 def mounting_matrix(mounting: MountingConfig) -> Array:
     """Return C_sg, (3, 3); the identity where the mounting is not stated."""
     if mounting.quaternion_xyzw is not None:
-        return rotation.orthonormalized(rotation.to_matrix(np.array(mounting.quaternion_xyzw)))
+        q = np.array(mounting.quaternion_xyzw)
+        return rotation.to_matrix(q / np.linalg.norm(q))
     return rotation.from_fixed_angles(np.radians(mounting.fixed_angles_deg or (0.0, 0.0, 0.0)))
 
 

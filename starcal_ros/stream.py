@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from starcal_ros import catalog, preintegration, sky
 from starcal_ros.acquisition import AcquisitionError, acquire
 from starcal_ros.config import Scenario
-from starcal_ros.estimator import EPSILON, PHI, SIGMA_ACQUIRED, Belief, Filter, Stars, Update
+from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Stars, Update
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.preintegration import GAP, Preintegrated
 from starcal_ros.scenario import observer
+from starcal_ros.track import Track, Tracker
 from starcal_ros.units import NS
 
 Array = NDArray[np.float64]
@@ -37,6 +38,9 @@ REPROJECTION_S = 600.0
 _GYRO_KEPT_S = 3600.0       # readings kept while no frame comes [s]
 _FRAMES_KEPT = 20_000       # frames kept while no gyro comes
 _BATCH = 2000               # frames prepared at once
+_NEVER_NS = np.iinfo(np.int64).min
+_OUTSIDE = 1.1              # a centroid may lie this far out, in halves of the detector
+_SIGMA_PX = (1e-4, 1e3)     # of a centroid; outside, the arithmetic of the filter ends
 _NAMED = 20                 # notices of one kind, at most
 
 
@@ -78,6 +82,8 @@ class FrameResult(NamedTuple):
         Hipparcos numbers.
     nis : float
         Normalised innovation squared of all stars used, ``2 * accepted.sum()`` degrees of freedom.
+    track : Track
+        Attitude at the gyro samples before the frame, from the frame before it, where asked for.
     """
 
     stamp_ns: int
@@ -88,27 +94,7 @@ class FrameResult(NamedTuple):
     accepted: NDArray[np.bool_]
     catalog_id: NDArray[np.int64]
     nis: float
-
-
-class Track(NamedTuple):
-    """The integrated attitude at gyro stamps.
-
-    Attributes
-    ----------
-    stamp_ns : (n,) int64 array
-        Stamps.
-    C_gi : (n, 3, 3) array
-        Attitude.
-    covariance : (n, 3, 3) array
-        Of the attitude error, in i [rad^2].
-    rate : (n, 3) array
-        Angular velocity without bias, in g [rad/s].
-    """
-
-    stamp_ns: NDArray[np.int64]
-    C_gi: Array
-    covariance: Array
-    rate: Array
+    track: Track
 
 
 class Stream:
@@ -127,15 +113,15 @@ class Stream:
         self.stamp_ns = 0                               # of the last frame processed
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
-        self._sigma = scenario.star_tracker.centroid_sigma_px
+        self._sigma = max(scenario.star_tracker.centroid_sigma_px, _SIGMA_PX[0])
         self._patience = scenario.estimator.reacquire_after_frames
         self._observer = observer(scenario.observer)
         self._gyro = GyroSamples.empty()
         self._frames: list[Frames] = []
-        self._newest_frame_ns = np.iinfo(np.int64).min
+        self._newest_frame_ns = _NEVER_NS
         self._refused_in_a_row = 0
         self._recent: deque[tuple[int, Array, int]] = deque()
-        self._tracked_ns = np.iinfo(np.int64).min
+        self._tracker = Tracker(self.filter, self._period_ns)
         self._notices: list[str] = []
         self._named: set[object] = set()
 
@@ -143,7 +129,7 @@ class Stream:
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples, in the order in which they arrived."""
-        last = self._gyro.stamp_ns[-1] if len(self._gyro) else np.iinfo(np.int64).min
+        last = self._gyro.stamp_ns[-1] if len(self._gyro) else _NEVER_NS
         finite = np.isfinite(samples.rate).all(axis=1)
         if not finite.all():
             self._notice('rate', f'gyro reading at {samples.stamp_ns[~finite][0]} ns is not '
@@ -176,18 +162,12 @@ class Stream:
                          'than the one before: dropped')
         stamps = frames.stamp_ns[fresh]
         if len(stamps):
-            before = self._newest_frame_ns if self._newest_frame_ns > 0 else stamps[0]
+            before = stamps[0] if self._newest_frame_ns == _NEVER_NS else self._newest_frame_ns
             steps = np.rint(np.diff(stamps, prepend=before) / self._frame_period_ns) - 1
             self.counts.missing_frames += int(np.maximum(steps, 0).sum())
             self._newest_frame_ns = int(stamps[-1])
         edges = np.flatnonzero(np.diff(np.concatenate(([False], fresh, [False])).astype(int)))
         self._frames += [frames[low:high] for low, high in edges.reshape(-1, 2)]
-        excess = sum(map(len, self._frames)) - _FRAMES_KEPT
-        if excess > 0 and not len(self._gyro):
-            self._notice('no gyro', f'{_FRAMES_KEPT} frames wait for a gyro reading: the oldest '
-                         'are dropped')
-            self._frames = [Frames.concatenate(self._frames)[excess:]]
-            self.counts.dropped_messages += excess
 
     # Going out
 
@@ -201,40 +181,37 @@ class Stream:
         notices, self._notices = self._notices, []
         return notices
 
-    def process(self) -> Iterator[FrameResult]:
-        """Process the frames that the gyro has reached; to be run to its end."""
-        if not len(self._gyro):
-            return
+    def process(self, tracked: bool = False) -> Iterator[FrameResult]:
+        """Process the frames that the gyro has reached; to be run to its end.
+
+        Parameters
+        ----------
+        tracked : bool
+            Give the attitude at the gyro samples before each frame along with it.
+        """
         if not self._frames:
-            self._forget_gyro_before(int(self._gyro.stamp_ns[-1] - _GYRO_KEPT_S / NS))
+            if len(self._gyro):
+                self._forget_gyro_before(int(self._gyro.stamp_ns[-1] - _GYRO_KEPT_S / NS))
             return
         frames = Frames.concatenate(self._frames)
-        ready = int(np.searchsorted(frames.stamp_ns, self._gyro.stamp_ns[-1], side='right'))
-        self._frames = [frames[ready:]] if ready < len(frames) else []
+        reached_ns = self._gyro.stamp_ns[-1:].max(initial=_NEVER_NS)
+        ready = int(np.searchsorted(frames.stamp_ns, reached_ns, side='right'))
+        excess = max(0, len(frames) - ready - _FRAMES_KEPT)
+        if excess:
+            self._notice('no gyro', f'{_FRAMES_KEPT} frames wait for the gyro: the oldest are '
+                         'dropped')
+            self.counts.dropped_messages += excess
+        self._frames = [frames[ready + excess:]] if ready + excess < len(frames) else []
         for low in range(0, ready, _BATCH):
-            yield from self._process(frames[low:min(low + _BATCH, ready)])
+            high = min(low + _BATCH, ready)
+            yield from self._process(frames[low:high], tracked)
 
     def track(self) -> Track:
-        """Return the attitude at each gyro sample since the last call, from the last update."""
-        stamps = self._gyro.stamp_ns
-        if self.belief is None or not len(stamps) or stamps[-1] <= self.stamp_ns:
-            return Track(np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty((0, 3, 3)),
-                         np.empty((0, 3)))
-        belief, estimate = self.belief, self.belief.estimate
-        pieces = preintegration.cut(
-            self._gyro, np.array([self.stamp_ns, stamps[-1]]), self._period_ns)
-        C_gi = preintegration.track(estimate.C_gi, pieces, estimate.bias)
-        new = np.isin(pieces.end_ns, stamps) & (pieces.end_ns > self._tracked_ns)
-        self._tracked_ns = int(stamps[-1])
-        elapsed = (pieces.end_ns[new] - self.stamp_ns)[:, None, None] * NS
-        root = belief.state_root
-        root = root[PHI] + elapsed * (estimate.C_gi.T @ root[EPSILON])
-        spread = (self.filter.walk**2 * elapsed
-                  + (self.filter.gap_acceleration
-                     * np.cumsum(pieces.gap_turn)[new, None, None])**2)
-        covariance = root @ np.swapaxes(root, -1, -2) + spread * np.eye(3)
-        return Track(pieces.end_ns[new], C_gi[new], covariance,
-                     pieces.rate[new] - estimate.bias)
+        """Return the attitude at each gyro sample since the last call, from the last update.
+
+        With `process`, `tracked`, before it, each sample from the first frame on is given once.
+        """
+        return self._track(np.iinfo(np.int64).max)
 
     @property
     def tracking(self) -> bool:
@@ -262,7 +239,7 @@ class Stream:
 
     # Inside
 
-    def _process(self, frames: Frames) -> Iterator[FrameResult]:
+    def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
         stars = self._locate(frames)
         begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
         cuts = np.concatenate(([begin], frames.stamp_ns))
@@ -275,6 +252,7 @@ class Stream:
             if belief is not None:
                 belief = self.filter.propagate(
                     belief, Preintegrated(*(part[k] for part in gyro)))
+            track = self._track(stamp_ns) if tracked else Track.empty()
             self.stamp_ns = stamp_ns
             self.counts.frames += 1
             self.counts.empty_frames += not np.isfinite(frame.sigma).any()
@@ -287,8 +265,13 @@ class Stream:
             self._account(update, np.isfinite(stars.sigma[rows]))
             yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows], update.residual,
                               update.chi2, update.accepted, frames.catalog_id[rows],
-                              float(update.nis))
+                              float(update.nis), track)
         self._forget_gyro_before(self.stamp_ns)
+
+    def _track(self, until_ns: int) -> Track:
+        if self.belief is None:
+            return Track.empty()
+        return self._tracker.advance(self.belief, self.stamp_ns, self._gyro, until_ns)
 
     def _locate(self, frames: Frames) -> Stars:
         """Return the stars of many frames; the sigma of one that can not be used is infinite."""
@@ -297,13 +280,16 @@ class Stream:
         frame = np.repeat(np.arange(len(frames)), frames.star_counts)
         uv = frames.uv_raster - self.filter.detector.centre_raster
         sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
-        measured = np.isfinite(uv).all(axis=1) & np.isfinite(sigma) & (sigma > 0.0)
+        measured = (self.filter.detector.contains(uv / _OUTSIDE)
+                    & (sigma >= _SIGMA_PX[0]) & (sigma <= _SIGMA_PX[1]))
         usable = measured & (row >= 0)
         self.counts.unusable_stars += int((~usable).sum())
         for k in np.flatnonzero(~measured)[:1]:
+            u, v = frames.uv_raster[k]
             self._notice('star', f'star {frames.catalog_id[k]} of the frame at '
-                         f'{frames.stamp_ns[frame[k]]} ns has u, v = {uv[k]}, sigma = {sigma[k]}: '
-                         'left out')
+                         f'{frames.stamp_ns[frame[k]]} ns has u, v = {u:g}, {v:g} and sigma '
+                         f'{sigma[k]:g}; needs a place on the detector and a sigma of '
+                         '{:g} to {:g} px: left out'.format(*_SIGMA_PX))
         unknown = frames.catalog_id[measured & (row < 0)]
         for number in np.unique(unknown[unknown != 0])[:_NAMED].tolist():
             self._notice(number, f'star number {number} is not in the catalogue: left out')

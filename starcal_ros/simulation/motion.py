@@ -63,8 +63,8 @@ class Motion:
         angle = np.radians(motion.angles_deg)
         acceleration = np.radians(motion.acceleration_deg_s2)
         rate = np.radians(motion.rate_deg_s)
-        start = rotation.to_matrix(np.array(motion.initial_quaternion_xyzw))
-        C_ig = [rotation.orthonormalized(start)]
+        start = np.array(motion.initial_quaternion_xyzw)
+        C_ig = [rotation.to_matrix(start / np.linalg.norm(start))]
         for step in rotation.exp(axis * angle[:, None]):
             C_ig.append(C_ig[-1] @ step)
         length = motion.dwell_s + _slew_duration(np.abs(angle), rate, acceleration)

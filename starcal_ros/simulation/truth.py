@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 VECTOR_LABEL = ('gyro_bias_rad_s[3] fixed_angles_rad[3] u0_px v0_px f_mm k1_mm-2 k2_mm-4 p1_mm-1 '
                 'p2_mm-1')
+VECTOR_SIZE = 13
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,18 @@ class Truth:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the constant values under the names of RESULT.json."""
-        return {
-            'intrinsics': dict(zip(INTRINSICS_KEYS, self.intrinsics.tolist())),
-            'gyro_bias_deg_h': (self.bias / DEG_PER_HOUR).tolist(),
-            'mounting': {
-                'quaternion_xyzw': rotation.to_quaternion(self.C_sg).tolist(),
-                'fixed_angles_deg': np.degrees(rotation.to_fixed_angles(self.C_sg)).tolist(),
-            },
-        }
+        return from_vector(self.vector())
+
+
+def from_vector(vector: Array) -> dict[str, Any]:
+    """Return the values of ``truth/parameters``, (13,), under the names of RESULT.json."""
+    bias, angles, intrinsics_ = np.split(vector, [3, 6])
+    return {
+        'intrinsics': dict(zip(INTRINSICS_KEYS, intrinsics_.tolist())),
+        'gyro_bias_deg_h': (bias / DEG_PER_HOUR).tolist(),
+        'mounting': {
+            'quaternion_xyzw': rotation.to_quaternion(
+                rotation.from_fixed_angles(angles)).tolist(),
+            'fixed_angles_deg': np.degrees(angles).tolist(),
+        },
+    }

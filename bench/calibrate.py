@@ -1,0 +1,46 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Time and memory of two hours of T18's scenario: `python bench/calibrate.py`.
+
+Each command runs in a process of its own, as a user runs it. Prints seconds, times faster than
+real time, and the largest resident memory, beside the limits they are held to.
+"""
+
+from pathlib import Path
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+
+HOURS = 2.0
+LIMITS = {'simulate': 30.0, 'calibrate': 20.0}
+MEMORY_LIMIT_MB = 1000.0
+
+
+def run(*arguments: str) -> float:
+    """Run a sub-command of starcal and return its seconds."""
+    begin = time.monotonic()
+    subprocess.run([sys.executable, '-m', 'starcal_ros.cli', *arguments], check=True,
+                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return time.monotonic() - begin
+
+
+def main() -> None:
+    """Measure both commands."""
+    config = str(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
+    with tempfile.TemporaryDirectory() as folder:
+        bag, out = f'{folder}/t18.mcap', f'{folder}/r.json'
+        seconds = {
+            'simulate': run('simulate', '--config', config, '--out', bag),
+            'calibrate': run('calibrate', bag, '--config', config, '--out', out)}
+    for name, value in seconds.items():
+        print(f'{name:<10} {value:6.2f} s of {LIMITS[name]:.0f} allowed, '
+              f'{HOURS * 3600.0 / value:6.0f} times real time')
+    # The larger of the two: the system keeps the maximum over all children.
+    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    print(f'memory     {memory:6.0f} MB of {MEMORY_LIMIT_MB:.0f} allowed')
+
+
+if __name__ == '__main__':
+    main()

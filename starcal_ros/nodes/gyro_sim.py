@@ -1,0 +1,63 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `gyro_sim`: publishes simulated gyro readings on imu/data_raw."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import sys
+
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+
+from starcal_ros import cdr
+from starcal_ros.nodes import parameters, runtime
+from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
+from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
+from starcal_ros.ros_conventions import GYRO_FRAME
+from starcal_ros.simulation import sensors
+
+_BATCH = 100
+
+
+class GyroSim(Node):
+    """Publish the readings of a scenario in the rhythm of their stamps, then end."""
+
+    def __init__(self) -> None:
+        super().__init__('gyro_sim')
+        scenario = parameters.declare(self, 'gyro', 'motion', 'truth', 'simulation')
+        self._simulator = sensors.gyro(scenario)
+        self._told = 0
+        self._readings = FlowPublisher(self, Imu, 'imu/data_raw')
+        clock = SimulatedClock(self._simulator.start_ns, scenario.simulation.real_time_factor)
+        self._feed = Feed(self, clock, self._items())
+        when_subscribed(self, [self._readings], scenario.simulation.wait_for_subscribers,
+                        clock.begin)
+
+    @property
+    def finished(self) -> bool:
+        """True when the run is over and all of it delivered."""
+        return self._feed.finished
+
+    def close(self) -> None:
+        """Deliver what was published."""
+        self._feed.close()
+
+    def _items(self) -> Iterator[Item]:
+        while len(samples := self._simulator.next(_BATCH)):
+            part = 100 * self._simulator.next_index // self._simulator.count
+            if part > self._told:
+                self._told = part
+                self.get_logger().info(f'{part} %')
+            messages = cdr.encode_imu(samples, GYRO_FRAME, self._simulator.rate_variance)
+            for stamp_ns, message in zip(samples.stamp_ns.tolist(), messages):
+                yield stamp_ns, self._readings, message.tobytes()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return runtime.run(GyroSim, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

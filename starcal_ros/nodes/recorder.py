@@ -1,0 +1,172 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `recorder`: writes the topics of the suite to one MCAP file, without loss at any speed.
+
+The log time of a message is its stamp, not the time of its arrival: a run that was simulated at
+twenty times its speed is then played back at its own. A message without stamp, or with that of
+the wall clock (diagnostics), gets the newest stamp that came from the same source. A stamp that
+goes backward gets the newest of its topic, so each topic keeps its order of arrival.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray
+
+from starcal_ros import config
+from starcal_ros.nodes import parameters, runtime
+from starcal_ros.nodes.flow import MatchedSubscription
+from starcal_ros.nodes.topics import TOPICS, is_stamped, message_type, offered_qos
+from starcal_ros.record import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
+from starcal_ros.record_writer import Batch, Qos, Writer
+from starcal_ros.simulation.truth import VECTOR_SIZE, from_vector
+
+_TRUTH = 'truth/parameters'
+_FLUSH_S = 1.0                  # a killed recorder loses no more than this
+_FLUSH_BYTES = 16 << 20
+_SEARCH_S = 0.2
+
+
+@dataclass
+class _Channel:
+    """One recorded topic and its messages since the last flush."""
+
+    type_name: str
+    latched: bool
+    stamped: bool
+    source: str             # topics of one source run by one clock
+    subscription: MatchedSubscription | None = None
+    qos: Qos | None = None
+    newest_ns: int = 0
+    log_times_ns: list[int | None] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
+    count: int = 0
+    last: bytes = b''
+
+
+class Recorder(Node):
+    """Subscribe to the topics and write what comes, once a second, in the order of the stamps."""
+
+    def __init__(self) -> None:
+        super().__init__('recorder')
+        scenario = parameters.declare(self, 'recorder')
+        self._channels: dict[str, _Channel] = {}
+        self._newest_ns: dict[str, int] = {}        # by source
+        self._n_bytes = 0
+        known = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        wanted = [self.resolve_topic_name(name) for name in scenario.recorder.topics] or [*known]
+        self._searched = {name for name in wanted if name not in known}
+        self._writer = Writer(scenario.recorder.output)
+        self._writer.attach(CONFIG_ATTACHMENT, config.dump(scenario).encode(), 'application/yaml')
+        for name in wanted:
+            if topic := known.get(name):
+                self._subscribe(name, topic.type_name, topic.latched,
+                                'estimator' if topic.result else '')
+        self.create_timer(_FLUSH_S, self._flush)
+        self._search_timer = self.create_timer(_SEARCH_S, self._search)
+        self.get_logger().info(f'recording to {scenario.recorder.output}')
+
+    def close(self) -> None:
+        """Write what has arrived and finish the file."""
+        for channel in self._channels.values():
+            if channel.subscription:
+                channel.subscription.take_all()
+        self._flush(time.time_ns())
+        self._attach_truth()
+        self._writer.close()
+        counts = {name: channel.count for name, channel in self._channels.items()}
+        self.get_logger().info(f'{sum(counts.values())} messages recorded to {self._writer.path}: '
+                               + ', '.join(f'{name} {n}' for name, n in counts.items() if n))
+
+    def _attach_truth(self) -> None:
+        channel = self._channels.get(self.resolve_topic_name(_TRUTH))
+        if channel and channel.last:
+            values = np.array(deserialize_message(channel.last, Float64MultiArray).data)
+            if len(values) != VECTOR_SIZE:
+                return
+            text = json.dumps(from_vector(values), indent=1)
+            self._writer.attach(TRUTH_ATTACHMENT, text.encode(), 'application/json')
+
+    def _subscribe(self, name: str, type_name: str, latched: bool, source: str = '') -> None:
+        kind = message_type(type_name)
+        if kind is None:
+            self.get_logger().debug(f'{name} is not recorded: {type_name} is not installed')
+            return
+        # The stamp of diagnostics is the wall clock, also in a simulated run.
+        stamped = is_stamped(kind) and not name.endswith('diagnostics')
+        channel = self._channels[name] = _Channel(
+            type_name, latched, stamped, source or name.rsplit('/', 1)[0])
+        channel.subscription = MatchedSubscription(
+            self, kind, name, lambda batch: self._take(channel, batch), latched=latched, raw=True)
+
+    def _search(self) -> None:
+        """Subscribe to the topics whose type only the graph knows, when it does."""
+        types = dict(self.get_topic_names_and_types()) if self._searched else {}
+        for name in sorted(self._searched & types.keys()):
+            latched = any(info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                          for info in self.get_publishers_info_by_topic(name))
+            self._searched.remove(name)
+            self._subscribe(name, types[name][0], latched)
+        if not self._searched:
+            self._search_timer.cancel()
+
+    def _take(self, channel: _Channel, batch: list[bytes]) -> None:
+        if channel.stamped:
+            for message in batch:
+                channel.newest_ns = max(channel.newest_ns, _stamp_ns(message))
+                channel.log_times_ns.append(channel.newest_ns)
+            self._newest_ns[channel.source] = max(channel.newest_ns,
+                                                  self._newest_ns.get(channel.source, 0))
+        else:
+            channel.log_times_ns += [self._newest_ns.get(channel.source)] * len(batch)
+        channel.messages += batch
+        channel.last = batch[-1]
+        channel.count += len(batch)
+        self._n_bytes += sum(map(len, batch))
+        if self._n_bytes > _FLUSH_BYTES:
+            self._flush()
+
+    def _flush(self, otherwise_ns: int | None = None) -> None:
+        """Write the messages since the last time, sorted by their log times.
+
+        What came before the first stamp of its source waits for one, of any source.
+        """
+        first_ns = min((t for channel in self._channels.values() if channel.stamped
+                        for t in channel.log_times_ns[:1] if t is not None), default=otherwise_ns)
+        batches = []
+        for name, channel in self._channels.items():
+            if not channel.messages or (None in channel.log_times_ns and first_ns is None):
+                continue
+            channel.qos = channel.qos or offered_qos(self, name, channel.latched)
+            log_time = [first_ns if t is None else t for t in channel.log_times_ns]
+            batches.append(Batch(name, channel.type_name, np.array(log_time, np.int64),
+                                 channel.messages, channel.qos))
+            channel.messages, channel.log_times_ns = [], []
+        self._n_bytes = 0
+        if batches:
+            self._writer.write_batches(*batches)
+            self._writer.flush()
+
+
+def _stamp_ns(message: bytes) -> int:
+    # Behind four bytes of encapsulation; the second of them tells the byte order.
+    sec, nanosec = struct.unpack_from('<iI' if message[1] & 1 else '>iI', message, 4)
+    return int(sec * 10**9 + nanosec)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return runtime.run(Recorder, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

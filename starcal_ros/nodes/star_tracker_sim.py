@@ -1,0 +1,73 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `star_tracker_sim`: publishes simulated star centroids, nominal camera and truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import sys
+
+from geometry_msgs.msg import QuaternionStamped
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import Float64MultiArray
+
+from starcal_ros import cdr_cloud
+from starcal_ros.nodes import messages, parameters, runtime
+from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
+from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
+from starcal_ros.scenario import detector, intrinsics
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.truth import VECTOR_LABEL
+
+_BATCH = 20
+
+
+class StarTrackerSim(Node):
+    """Publish the frames of a scenario in the rhythm of their stamps, then end."""
+
+    def __init__(self) -> None:
+        super().__init__('star_tracker_sim')
+        scenario = parameters.declare(self, 'camera', 'mounting', 'gyro', 'star_tracker',
+                                      'motion', 'observer', 'truth', 'simulation')
+        self._simulator = sensors.star_tracker(scenario)
+        self._truth = self._simulator.truth
+        self._centroids = FlowPublisher(self, PointCloud2, 'star_tracker/centroids')
+        self._attitude = FlowPublisher(self, QuaternionStamped, 'truth/attitude')
+        info = FlowPublisher(self, CameraInfo, 'star_tracker/camera_info', latched=True)
+        truth = FlowPublisher(self, Float64MultiArray, 'truth/parameters', latched=True)
+        info.publish(messages.camera_info(
+            self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
+        values = self._truth.vector()
+        truth.publish(messages.labelled([(VECTOR_LABEL, len(values))], values))
+        clock = SimulatedClock(self._truth.motion.start_ns,
+                               scenario.simulation.real_time_factor)
+        self._feed = Feed(self, clock, self._items())
+        when_subscribed(self, [self._centroids], scenario.simulation.wait_for_subscribers,
+                        clock.begin)
+
+    @property
+    def finished(self) -> bool:
+        """True when the run is over and all of it delivered."""
+        return self._feed.finished
+
+    def close(self) -> None:
+        """Deliver what was published."""
+        self._feed.close()
+
+    def _items(self) -> Iterator[Item]:
+        while len(frames := self._simulator.next(_BATCH)):
+            attitudes = self._truth.motion.attitude(frames.stamp_ns)
+            for stamp_ns, C_ig, message in zip(frames.stamp_ns.tolist(), attitudes,
+                                               cdr_cloud.encode_centroids(frames)):
+                yield stamp_ns, self._centroids, message
+                yield stamp_ns, self._attitude, messages.attitude(stamp_ns, C_ig)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return runtime.run(StarTrackerSim, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

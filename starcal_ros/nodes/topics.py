@@ -1,0 +1,75 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of the suite, and what the graph knows of any topic."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import NamedTuple
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+from starcal_ros.record_writer import Qos
+
+
+class Topic(NamedTuple):
+    """A topic of the suite; the name is relative, so it may stand in a namespace."""
+
+    name: str
+    type_name: str
+    latched: bool = False
+    result: bool = False
+
+
+TOPICS = (
+    Topic('imu/data_raw', 'sensor_msgs/msg/Imu'),
+    Topic('star_tracker/centroids', 'sensor_msgs/msg/PointCloud2'),
+    Topic('star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True),
+    Topic('star_tracker/image_raw', 'sensor_msgs/msg/Image'),
+    Topic('truth/attitude', 'geometry_msgs/msg/QuaternionStamped'),
+    Topic('truth/parameters', 'std_msgs/msg/Float64MultiArray', latched=True),
+    Topic('starcal/imu', 'sensor_msgs/msg/Imu', result=True),
+    Topic('starcal/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True, result=True),
+    Topic('starcal/gyro_bias', 'geometry_msgs/msg/TwistWithCovarianceStamped', latched=True,
+          result=True),
+    Topic('starcal/mounting', 'geometry_msgs/msg/PoseWithCovarianceStamped', latched=True,
+          result=True),
+    Topic('starcal/state', 'std_msgs/msg/Float64MultiArray', latched=True, result=True),
+    Topic('starcal/residuals', 'sensor_msgs/msg/PointCloud2', latched=True, result=True),
+    Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result=True),
+    Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True),
+)
+SENSORS = tuple(topic.name for topic in TOPICS[:2])
+
+
+def message_type(type_name: str) -> type | None:
+    """Return the class of a message type, None where its package is not installed."""
+    package, _, name = type_name.partition('/msg/')
+    try:
+        found: type | None = getattr(import_module(f'{package}.msg'), name, None)
+    except ImportError:
+        return None
+    return found
+
+
+def is_stamped(kind: type) -> bool:
+    """Tell whether a message type begins with a header."""
+    fields: dict[str, str] = kind.get_fields_and_field_types()      # type: ignore[attr-defined]
+    return next(iter(fields.items()), None) == ('header', 'std_msgs/Header')
+
+
+def offered_qos(node: Node, topic: str, latched: bool) -> Qos:
+    """Return what the publishers of a topic offer: the least of it, where they differ.
+
+    History and depth do not travel over the wire; they are those of the suite.
+    """
+    offers = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
+    if any(offer.durability == DurabilityPolicy.VOLATILE for offer in offers):
+        latched = False
+    elif offers:
+        latched = True
+    best_effort = any(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers)
+    return Qos(depth=1 if latched else 100,
+               reliability='best_effort' if best_effort else 'reliable',
+               durability='transient_local' if latched else 'volatile')

@@ -1,0 +1,105 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The attitude between frames: integrated from the last update, at each gyro sample."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import preintegration
+from starcal_ros.estimator import EPSILON, PHI, Belief, Filter
+from starcal_ros.measurements import GyroSamples
+from starcal_ros.units import NS
+
+Array = NDArray[np.float64]
+
+
+class Track(NamedTuple):
+    """The integrated attitude at gyro stamps.
+
+    Attributes
+    ----------
+    stamp_ns : (n,) int64 array
+        Stamps.
+    C_gi : (n, 3, 3) array
+        Attitude.
+    covariance : (n, 3, 3) array
+        Of the attitude error, in i [rad^2].
+    rate : (n, 3) array
+        Angular velocity without bias, in g [rad/s].
+    """
+
+    stamp_ns: NDArray[np.int64]
+    C_gi: Array
+    covariance: Array
+    rate: Array
+
+    @classmethod
+    def empty(cls) -> Track:
+        """Return no attitude."""
+        return cls(np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty((0, 3, 3)),
+                   np.empty((0, 3)))
+
+
+class _Reached(NamedTuple):
+    """How far the integration from a frame has come."""
+
+    frame_ns: int
+    stamp_ns: int
+    C_gi: Array
+    gap_turn: float
+
+
+class Tracker:
+    """Integrates from each update onwards, each gyro sample once."""
+
+    def __init__(self, filter_: Filter, period_ns: float) -> None:
+        self._filter = filter_
+        self._period_ns = period_ns
+        self._given_ns = np.iinfo(np.int64).min
+        self._reached: _Reached | None = None
+
+    def advance(self, belief: Belief, frame_ns: int, gyro: GyroSamples, until_ns: int) -> Track:
+        """Return the attitude at the samples that have not been given yet.
+
+        Parameters
+        ----------
+        belief : Belief
+            After the last frame.
+        frame_ns : int
+            Stamp of that frame.
+        gyro : GyroSamples
+            From the last sample at or before the frame on, or from an earlier one.
+        until_ns : int
+            Stamp before which the samples must lie.
+        """
+        estimate = belief.estimate
+        reached = self._reached
+        if reached is None or reached.frame_ns != frame_ns:
+            reached = _Reached(frame_ns, frame_ns, estimate.C_gi, 0.0)
+        first, last = np.searchsorted(
+            gyro.stamp_ns, [max(frame_ns, self._given_ns + 1), until_ns]).tolist()
+        samples = gyro[first:last]
+        if not len(samples):
+            return Track.empty()
+        self._given_ns = int(samples.stamp_ns[-1])
+        pieces = preintegration.cut(
+            gyro, np.array([reached.stamp_ns, self._given_ns]), self._period_ns)
+        C_gi = preintegration.track(reached.C_gi, pieces, estimate.bias)
+        # A sample at the stamp from which the integration goes on is there without a step.
+        ends = np.concatenate(([reached.stamp_ns], pieces.end_ns))
+        C_gi = np.concatenate((reached.C_gi[None], C_gi))
+        gap_turn = reached.gap_turn + np.concatenate(([0.0], np.cumsum(pieces.gap_turn)))
+        self._reached = _Reached(frame_ns, self._given_ns, C_gi[-1], float(gap_turn[-1]))
+        rows = np.searchsorted(ends, samples.stamp_ns)
+        elapsed = (samples.stamp_ns - frame_ns)[:, None, None] * NS
+        root = belief.state_root
+        root = root[PHI] + elapsed * (estimate.C_gi.T @ root[EPSILON])
+        spread = (self._filter.walk**2 * elapsed
+                  + (self._filter.gap_acceleration * gap_turn[rows, None, None])**2)
+        return Track(samples.stamp_ns, C_gi[rows],
+                     root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
+                     samples.rate - estimate.bias)

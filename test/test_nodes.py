@@ -1,0 +1,334 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes as processes of their own over real DDS: what goes in comes out, and right."""
+
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticArray                                 # noqa: E402
+from rcl_interfaces.srv import DescribeParameters                               # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile                              # noqa: E402
+from sensor_msgs.msg import Imu, PointCloud2                                    # noqa: E402
+from std_msgs.msg import Float64MultiArray                                      # noqa: E402
+from std_srvs.srv import SetBool, Trigger                                       # noqa: E402
+
+from starcal_ros import cdr, cdr_cloud, config, demo, record, ros_conventions   # noqa: E402
+from starcal_ros import rotation                                                # noqa: E402
+from starcal_ros.bag import open_bag                                            # noqa: E402
+from starcal_ros.calibration import predicted_centroid                          # noqa: E402
+from starcal_ros.measurements import Frames, GyroSamples                        # noqa: E402
+from starcal_ros.record_writer import typestore                                 # noqa: E402
+from starcal_ros.simulation import sensors                                      # noqa: E402
+from starcal_ros.simulation.truth import Truth                                  # noqa: E402
+
+DURATION_S = 60.0
+SCENARIO = config.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
+    {'simulation.duration_s': DURATION_S, 'simulation.real_time_factor': 0.0})
+PATIENCE_S = 30.0
+
+
+@pytest.fixture(scope='module')
+def live(tmp_path_factory):
+    """Return the recording of a run of all four nodes."""
+    return demo.run_live(SCENARIO, tmp_path_factory.mktemp('live'))
+
+
+@pytest.fixture(scope='module')
+def recorded(live):
+    return record.read(live)
+
+
+@pytest.fixture(scope='module')
+def offline(recorded):
+    stream, _ = predicted_centroid.calibrate(recorded.gyro, recorded.frames, SCENARIO)
+    return stream
+
+
+def messages(path, topic):
+    """Return the messages of a topic, decoded."""
+    bag = open_bag(path)
+    kind = next(t.type for t in bag.topics() if t.name == topic)
+    return [typestore().deserialize_cdr(
+        part.data[start:start + size].tobytes(), kind)
+        for _, _, part, _ in bag.messages([topic])
+        for start, size in zip(part.start.tolist(), part.size.tolist())]
+
+
+# A whole run
+
+
+def test_recording_holds_all_that_the_simulators_made_to_the_bit(recorded):
+    """The nodes were started apart; the simulators of this process know nothing of them."""
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    expected = gyro.next(gyro.count)
+    np.testing.assert_array_equal(recorded.gyro.stamp_ns, expected.stamp_ns)
+    np.testing.assert_array_equal(recorded.gyro.rate, expected.rate)
+    expected = tracker.next(tracker.count)
+    np.testing.assert_array_equal(recorded.frames.stamp_ns, expected.stamp_ns)
+    np.testing.assert_array_equal(recorded.frames.uv_raster, expected.uv_raster)
+    np.testing.assert_array_equal(recorded.frames.catalog_id, expected.catalog_id)
+
+
+def test_live_and_offline_estimates_are_the_same_numbers(live, offline):
+    assert demo.compare(live, offline) < 1e-9
+
+
+def test_each_frame_gives_one_of_each_result(live):
+    counts = {topic.topic: topic.count for topic in record.summary(live).topics}
+    for name in ('state', 'camera_info', 'gyro_bias', 'mounting', 'residuals'):
+        assert counts[f'/starcal/{name}'] == 2 * DURATION_S
+    assert counts['/diagnostics'] >= 1
+
+
+def test_each_gyro_reading_gives_one_attitude_that_agrees_with_the_truth(live, recorded):
+    imus = messages(live, '/starcal/imu')
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in imus])
+    np.testing.assert_array_equal(stamps, recorded.gyro.stamp_ns)
+    C_ig = rotation.to_matrix(np.array([[getattr(m.orientation, c) for c in 'xyzw']
+                                        for m in imus]))
+    true = Truth.from_scenario(SCENARIO).motion.attitude(stamps)
+    phi = rotation.log(true @ np.swapaxes(C_ig, -1, -2))            # T18 Eq. 7
+    sigma = np.sqrt(np.array([m.orientation_covariance for m in imus])[:, ::4])
+    # 5 sigma: 6000 strongly correlated samples of three axes, a few independent ones a minute
+    assert (np.abs(phi) < 5.0 * sigma).all()
+    assert {m.header.frame_id for m in imus} == {'gyro'}
+    assert {m.linear_acceleration_covariance[0] for m in imus} == {-1.0}        # REP-145
+
+
+def test_results_are_the_estimate_in_the_conventions_of_ros(live, offline):
+    estimate, detector = offline.belief.estimate, offline.filter.detector
+    info = messages(live, '/starcal/camera_info')[-1]
+    assert (info.distortion_model, info.header.frame_id) == ('plumb_bob', 'star_tracker_optical')
+    np.testing.assert_allclose(ros_conventions.from_camera_info(info.k, info.d, detector),
+                               estimate.intrinsics, rtol=1e-9)
+    q = messages(live, '/starcal/mounting')[-1].pose.pose.orientation
+    C_sg = ros_conventions.mounting_from_optical(
+        rotation.to_matrix(np.array([q.x, q.y, q.z, q.w])))
+    np.testing.assert_allclose(C_sg, estimate.C_sg, atol=1e-12)
+    bias = messages(live, '/starcal/gyro_bias')[-1].twist.twist.angular
+    np.testing.assert_allclose([bias.x, bias.y, bias.z], estimate.bias, rtol=1e-9)
+
+
+def test_recording_carries_configuration_and_truth(recorded):
+    truth = json.loads(recorded.attachments['truth.json'])
+    assert truth['intrinsics']['f_mm'] == 25.6
+    np.testing.assert_allclose(truth['mounting']['fixed_angles_deg'], [-0.1, 30.0, -0.2],
+                               atol=1e-12)
+    carried = config.parse(recorded.attachments['config.yaml'].decode(), 'attachment')
+    assert carried.replace({'recorder.output': 'run.mcap'}) == SCENARIO.replace(
+        {'simulation.wait_for_subscribers': 2})
+
+
+# One node at a time
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Return a function that starts a node; what is left of them is killed at the end."""
+    started = []
+
+    def run(name, *words):
+        process = subprocess.Popen(
+            [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args', *words],
+            stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+        started.append(process)
+        return process
+    yield run
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def parameters(tmp_path):
+    """Return the words that give a node the scenario."""
+    path = tmp_path / 'scenario.yaml'
+    path.write_text(config.dump(SCENARIO.replace({
+        'estimator.calibration_file': str(tmp_path / 'saved.json')})))
+    return '--params-file', str(path)
+
+
+class Peer:
+    """A node of this process that talks to the one under test."""
+
+    def __init__(self):
+        self.node = rclpy.create_node('peer')
+        self.gyro = self.node.create_publisher(Imu, 'imu/data_raw', 5000)
+        self.frames = self.node.create_publisher(PointCloud2, 'star_tracker/centroids', 1000)
+        self.states, self.diagnostics = [], []
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(
+            Float64MultiArray, 'starcal/state', self.states.append, latched)
+        self.node.create_subscription(
+            DiagnosticArray, 'diagnostics', self.diagnostics.append, 10)
+
+    def until(self, condition):
+        """Spin until something holds."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline, 'waited in vain'
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def meet(self):
+        """Wait until the estimator listens and is heard."""
+        self.until(lambda: all(p.get_subscription_count() for p in (self.gyro, self.frames)))
+        self.until(lambda: self.node.count_publishers('starcal/state') == 1)
+
+    def send(self, gyro, frames):
+        """Publish messages."""
+        for message in cdr.encode_imu(gyro):
+            self.gyro.publish(message.tobytes())
+        for message in cdr_cloud.encode_centroids(frames):
+            self.frames.publish(message)
+
+    def call(self, kind, name, request=None):
+        """Call a service."""
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(request or kind.Request())
+        self.until(future.done)
+        return future.result()
+
+    def status(self):
+        """Return the newest diagnostics."""
+        self.diagnostics.clear()
+        self.until(lambda: self.diagnostics)
+        return self.diagnostics[-1].status[0]
+
+
+@pytest.fixture
+def peer():
+    rclpy.init()
+    try:
+        yield Peer()
+    finally:
+        rclpy.shutdown()
+
+
+@pytest.fixture(scope='module')
+def readings():
+    """The first ten seconds of the run."""
+    return sensors.gyro(SCENARIO).next(1000), sensors.star_tracker(SCENARIO).next(20)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_estimator_ends_with_status_0_on_a_signal_amid_its_work(
+        start, parameters, peer, readings, number):
+    estimator = start('estimator', *parameters)
+    peer.meet()
+    peer.send(*readings)
+    peer.until(lambda: len(peer.states) > 3)
+    estimator.send_signal(number)
+    peer.until(lambda: estimator.poll() is not None)
+    assert estimator.returncode == 0
+    assert 'Traceback' not in estimator.stderr.read()
+
+
+def test_nothing_but_finite_numbers_leaves_the_estimator(start, parameters, peer, readings):
+    """NaN, infinity, rubbish and an unknown star go in; good frames still count."""
+    gyro, frames = readings
+    estimator = start('estimator', *parameters)
+    peer.meet()
+    rate = gyro.rate.copy()
+    rate[[100, 101, 500]] = np.nan, np.inf, -np.inf
+    uv, number = frames.uv_raster.copy(), frames.catalog_id.copy()
+    uv[::50] = np.nan
+    number[7] = 999_999
+    peer.frames.publish(b'\0\1\0\0' + bytes(20))
+    peer.send(GyroSamples(gyro.stamp_ns, rate),
+              Frames(frames.stamp_ns, frames.first, uv, frames.sigma, frames.magnitude, number))
+    peer.until(lambda: len(peer.states) >= 19)
+    assert all(np.isfinite(state.data).all() for state in peer.states)
+    values = {item.key: item.value for item in peer.status().values}
+    assert values['dropped_messages'] == '4'
+    assert int(values['unusable_stars']) == len(uv[::50]) + 1
+    estimator.send_signal(signal.SIGINT)
+    said = estimator.communicate(timeout=PATIENCE_S)[1]
+    assert estimator.returncode == 0 and 'Traceback' not in said
+    for text in ('not finite', 'star number 999999 is not in the catalogue', 'message dropped'):
+        assert text in said
+
+
+def test_services_save_reset_and_disable(start, parameters, peer, readings, tmp_path):
+    start('estimator', *parameters)
+    peer.meet()
+    refused = peer.call(Trigger, 'estimator/save_calibration')
+    assert not refused.success and 'no attitude from any frame' in refused.message
+    peer.send(*readings)
+    peer.until(lambda: len(peer.states) >= 20)
+    assert peer.call(Trigger, 'estimator/save_calibration').success
+    saved = json.loads((tmp_path / 'saved.json').read_text())
+    assert saved['counts']['frames'] == 20
+    assert peer.call(Trigger, 'estimator/reset').success
+    assert peer.status().message == 'no attitude yet'
+    assert peer.call(SetBool, 'estimator/set_enabled', SetBool.Request(data=False)).success
+    assert peer.status().message == 'disabled'
+
+
+def test_parameters_are_described_with_unit_and_range_and_are_read_only(start, parameters, peer):
+    start('estimator', *parameters)
+    request = DescribeParameters.Request(names=['camera.focal_length_mm', 'observer.velocity'])
+    f, velocity = peer.call(DescribeParameters, 'estimator/describe_parameters',
+                            request).descriptors
+    assert '[mm]' in f.description and f.read_only
+    assert f.floating_point_range[0].from_value == 0.1
+    assert 'geocentre' in velocity.additional_constraints
+
+
+@pytest.mark.parametrize('words, culprit', [
+    (['-p', 'camera.focal_lenght_mm:=25.0'], 'did you mean camera.focal_length_mm'),
+    (['-p', 'camera.focal_length_mm:=-25.0'], 'camera.focal_length_mm: got -25.0'),
+    (['-p', 'camera.focal_length_mm:=25'], 'camera.focal_length_mm: got 25 (int)'),
+    (['--params-file', 'missing.yaml'], 'missing.yaml'),
+])
+@pytest.mark.parametrize('name', ['estimator', 'gyro_sim'])
+def test_wrong_parameter_ends_a_node_with_status_2_and_one_line(start, name, words, culprit):
+    node = start(name, *words)
+    said = node.communicate(timeout=PATIENCE_S)[1]
+    assert node.returncode == 2
+    assert 'Traceback' not in said
+    last = said.strip().splitlines()[-1]
+    assert last.startswith('error: ') and culprit in last
+
+
+def test_replay_gives_the_estimator_the_same_numbers_again(start, parameters, live, tmp_path):
+    """The player leaves the old results out; the new ones are compared with them."""
+    copy = tmp_path / 'copy.mcap'
+    recorder = start('recorder', *parameters, '-p', f'recorder.output:={copy}')
+    estimator = start('estimator', *parameters)
+    player = start('player', '-p', f'player.bag:={live}', '-p', 'player.rate:=0.0',
+                   '-p', 'player.wait_for_subscribers:=2')
+    for process in (player, estimator, recorder):
+        if process is not player:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 0
+    np.testing.assert_array_equal(demo.last_state(copy), demo.last_state(live))
+
+
+def test_simulation_ends_in_the_same_way_without_anyone_listening(start, parameters):
+    assert start('star_tracker_sim', *parameters).wait(PATIENCE_S) == 0
+    assert start('gyro_sim', *parameters).wait(PATIENCE_S) == 0
+
+
+def test_real_time_factor_sets_the_pace(start, parameters):
+    """Ten times real time: six seconds for a minute; a start takes less than ten."""
+    begin = time.monotonic()
+    assert start('gyro_sim', *parameters, '-p', 'simulation.real_time_factor:=10.0'
+                 ).wait(PATIENCE_S) == 0
+    assert time.monotonic() - begin >= DURATION_S / 10.0
+
+
+def test_test_processes_meet_only_each_other():
+    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
+    assert 1 <= int(os.environ['ROS_DOMAIN_ID']) <= 100

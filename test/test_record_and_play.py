@@ -1,0 +1,133 @@
+"""Recorder and player: what one wrote, the other publishes again, nothing lost and in order."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from starcal_ros import record                              # noqa: E402
+from starcal_ros.measurements import Frames, GyroSamples    # noqa: E402
+from starcal_ros.record_writer import LATCHED, Writer       # noqa: E402
+
+START_NS, N_GYRO, N_FRAMES = 1_782_993_600_000_000_000, 3000, 60
+EMPTY_ARRAY = b'\0\1\0\0' + bytes(12)       # a Float64MultiArray in CDR
+
+
+def node(name: str, **parameters: object) -> subprocess.Popen:
+    """Start a node with parameters of the group of its own name; it is killed after 30 s."""
+    words = [f'{name}.{key}:={value}' for key, value in parameters.items()]
+    process = subprocess.Popen(
+        [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args',
+         *(word for pair in words for word in ('-p', pair))], stderr=subprocess.PIPE, text=True)
+    timer = threading.Timer(30.0, process.kill)
+    timer.daemon = True
+    timer.start()
+    return process
+
+
+def ready(recorder: subprocess.Popen) -> subprocess.Popen:
+    """Return a recorder when it has subscribed."""
+    assert any('recording to' in line for line in recorder.stderr)
+    return recorder
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return a recording of 30 s with sensors, truth, an old result and another topic."""
+    path = tmp_path_factory.mktemp('bag') / 'original.mcap'
+    gyro = GyroSamples(START_NS + 10_000_000 * np.arange(1, N_GYRO + 1),
+                       np.arange(3.0 * N_GYRO).reshape(-1, 3))
+    frames = Frames(START_NS + 500_000_000 * np.arange(N_FRAMES),
+                    np.arange(0, 5 * N_FRAMES + 1, 5), np.ones((5 * N_FRAMES, 2)),
+                    np.ones(5 * N_FRAMES), np.ones(5 * N_FRAMES), np.arange(5 * N_FRAMES))
+    with Writer(path) as writer:
+        writer.write('/truth/parameters', 'std_msgs/msg/Float64MultiArray',
+                     EMPTY_ARRAY, START_NS, qos=LATCHED)
+        writer.write('/other', 'std_msgs/msg/Float64MultiArray', EMPTY_ARRAY, START_NS)
+        writer.write_imu('/imu/data_raw', gyro)
+        writer.write_imu('/starcal/imu', gyro)
+        writer.write_centroids('/star_tracker/centroids', frames)
+    return path
+
+
+@pytest.fixture(scope='module')
+def copy(bag, tmp_path_factory):
+    """Return what the recorder wrote while the player played at full speed."""
+    path = tmp_path_factory.mktemp('bag') / 'copy.mcap'
+    recorder = ready(node('recorder', output=path))
+    player = node('player', bag=bag, rate=0.0, wait_for_subscribers=1)
+    assert player.wait(30) == 0, player.stderr.read()
+    recorder.send_signal(signal.SIGINT)
+    assert recorder.wait(10) == 0, recorder.stderr.read()
+    return path
+
+
+def test_copy_equals_the_original(bag, copy):
+    before, after = record.read(bag), record.read(copy)
+    assert not after.warnings
+    for name in ('stamp_ns', 'rate'):
+        np.testing.assert_array_equal(getattr(after.gyro, name), getattr(before.gyro, name))
+    for name in ('stamp_ns', 'first', 'uv_raster', 'catalog_id'):
+        np.testing.assert_array_equal(getattr(after.frames, name), getattr(before.frames, name))
+
+
+def test_copy_has_the_time_base_of_the_stamps(copy):
+    topics = {topic.topic: topic for topic in record.summary(copy).topics}
+    assert topics['/imu/data_raw'].rate_hz == pytest.approx(100.0)
+    assert topics['/imu/data_raw'].last_ns == START_NS + 10_000_000 * N_GYRO
+
+
+def test_copy_has_truth_qos_and_configuration_but_no_old_result(copy):
+    summary = record.summary(copy)
+    topics = {topic.topic: topic for topic in summary.topics}
+    assert {*topics} == {'/imu/data_raw', '/star_tracker/centroids', '/truth/parameters'}
+    assert topics['/truth/parameters'].qos.startswith('reliable, transient_local')
+    assert topics['/imu/data_raw'].qos.startswith('reliable, volatile')
+    assert {*summary.attachments} == {'config.yaml'}
+
+
+def test_recorder_records_chosen_topics_of_any_type(bag, tmp_path):
+    path, topics = tmp_path / 'chosen.mcap', "['/starcal/imu', 'other']"
+    recorder = ready(node('recorder', output=path, topics=topics))
+    player = node('player', bag=bag, rate=0.0, topics=topics, wait_for_subscribers=1)
+    assert player.wait(30) == 0, player.stderr.read()
+    recorder.send_signal(signal.SIGTERM)
+    assert recorder.wait(10) == 0, recorder.stderr.read()
+    counts = {topic.topic: topic.count for topic in record.summary(path).topics}
+    assert counts == {'/starcal/imu': N_GYRO, '/other': 1}
+
+
+def test_recorder_refuses_to_overwrite(bag):
+    recorder = node('recorder', output=bag)
+    assert recorder.wait(20) == 2
+    assert f'{bag} exists' in recorder.stderr.read()
+
+
+@pytest.mark.parametrize('parameters, text', [
+    ({}, 'player.bag: not given'),
+    ({'bag': 'none.mcap'}, 'none.mcap does not exist'),
+])
+def test_player_names_what_is_wrong_with_the_bag(parameters, text):
+    player = node('player', **parameters)
+    assert player.wait(20) == 2
+    assert text in player.stderr.read()
+
+
+def test_player_names_a_topic_that_the_bag_has_not(bag):
+    player = node('player', bag=bag, topics="['imu/other']")
+    assert player.wait(20) == 2
+    assert 'player.topics: got /imu/other' in player.stderr.read()
+
+
+def test_player_keeps_the_rate(bag):
+    """Played at ten times its speed, 30 s take 3 s, and the start of a process."""
+    began = time.monotonic()
+    player = node('player', bag=bag, rate=10.0)
+    assert player.wait(20) == 0
+    assert 2.9 < time.monotonic() - began < 10.0

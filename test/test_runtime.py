@@ -1,0 +1,118 @@
+"""Nodes begin and end cleanly, in their own processes."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+START = """
+import sys
+from pathlib import Path
+import rclpy
+from rclpy.node import Node
+from starcal_ros.config import ConfigError
+from starcal_ros.nodes.runtime import run
+
+
+class Subject(Node):
+    finished = False
+
+    def __init__(self):
+        super().__init__('subject')
+        self.ticks = 0
+        self.create_timer(0.01, self.tick)
+        print('ready', flush=True)
+
+    def tick(self):
+        {tick}
+
+    def close(self):
+        print('closed', flush=True)
+
+
+sys.exit(run({make}))
+"""
+
+
+def start(tick: str = 'pass', make: str = 'Subject', *args: str) -> subprocess.Popen:
+    """Start a process that runs one node."""
+    return subprocess.Popen([sys.executable, '-c', START.format(tick=tick, make=make), *args],
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen) -> tuple[int, str, str]:
+    """Return exit status, output and errors, less what the middleware logs about itself."""
+    out, errors = process.communicate(timeout=20)
+    return process.returncode, out, re.sub(r'^\[\w+\] \[[\d.]+\] \[rmw.*\n', '', errors,
+                                           flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM] * 3)
+def test_signal_closes_the_node_and_ends_with_status_0(number):
+    process = start()
+    assert process.stdout.readline() == 'ready\n'
+    process.send_signal(number)
+    assert finish(process) == (0, 'closed\n', '')
+
+
+def test_further_signals_do_no_harm():
+    process = start()
+    assert process.stdout.readline() == 'ready\n'
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.001)
+    assert finish(process) == (0, 'closed\n', '')
+
+
+@pytest.mark.parametrize('delay_s', [0.1, 0.2, 0.3, 0.4, 0.5])
+def test_interrupt_during_the_start_shows_no_traceback(delay_s, tmp_path):
+    script = tmp_path / 'node.py'
+    script.write_text('import starcal_ros.nodes\nprint("started", flush=True)\n'
+                      + START.format(tick='pass', make='Subject'))
+    process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True,
+                               env={**os.environ, 'PYTHONPATH': os.getcwd()})
+    assert process.stdout.readline() == 'started\n'
+    time.sleep(delay_s)
+    process.send_signal(signal.SIGINT)
+    status, _, errors = finish(process)
+    assert status in (0, -signal.SIGINT)
+    assert errors == ''
+
+
+def test_finished_node_ends_with_status_0():
+    process = start(tick='self.ticks += 1; self.finished = self.ticks == 5')
+    assert finish(process) == (0, 'ready\nclosed\n', '')
+
+
+def fail(text: str) -> str:
+    """Return an expression that raises."""
+    return f'(_ for _ in ()).throw({text})'
+
+
+@pytest.mark.parametrize('when', ['creation', 'service'])
+def test_configuration_error_is_one_line_and_status_2(when):
+    error = fail('ConfigError("gyro.rate_hz: got 0.0")')
+    process = (start(make=f'lambda: {error}') if when == 'creation' else start(tick=error))
+    status, out, errors = finish(process)
+    assert (status, errors) == (2, 'error: gyro.rate_hz: got 0.0\n')
+    assert ('closed' in out) == (when == 'service')
+
+
+def test_missing_parameter_file_is_named_without_traceback():
+    words = ('--ros-args', '--params-file', 'none.yaml')
+    status, _, errors = finish(start('pass', 'Subject', *words))
+    assert status == 2
+    assert 'none.yaml' in errors and 'Traceback' not in errors
+
+
+def test_defect_shows_its_traceback_after_the_node_was_closed():
+    status, out, errors = finish(start(tick=fail('ZeroDivisionError')))
+    assert (status, out) == (1, 'ready\nclosed\n')
+    assert 'Traceback' in errors and 'ZeroDivisionError' in errors
