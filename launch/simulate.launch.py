@@ -11,7 +11,8 @@ from launch_ros.substitutions import FindPackageShare
 def generate_launch_description() -> LaunchDescription:
     """Start both simulators, the estimator and the recorder on one configuration."""
     config = LaunchConfiguration('config')
-    pace = {'simulation.real_time_factor':
+    # The run begins when estimator and recorder listen, so that neither misses anything.
+    pace = {'simulation.wait_for_subscribers': 2, 'simulation.real_time_factor':
             ParameterValue(LaunchConfiguration('real_time_factor'), value_type=float)}
     output = {'recorder.output': ParameterValue(LaunchConfiguration('output'), value_type=str)}
     return LaunchDescription([

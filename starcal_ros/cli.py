@@ -20,9 +20,10 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 
 import starcal_ros
-from starcal_ros import config, resources
+from starcal_ros import parameter_file, resources
 from starcal_ros.cdr import RecordError
-from starcal_ros.config import ConfigError, Scenario
+from starcal_ros.config import Scenario
+from starcal_ros.parameter import ConfigError
 from starcal_ros.demo import NodeError
 from starcal_ros.stream import Stream
 
@@ -37,7 +38,7 @@ CONFIG_HELP = ('parameter file of the scenario (ROS 2 parameters, /**: ros__para
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit status."""
-    options = _parser().parse_args(arguments)
+    options = parse(arguments)
     try:
         return int(options.run(options))
     except (ConfigError, RecordError, FileNotFoundError) as error:
@@ -48,6 +49,11 @@ def main(arguments: list[str] | None = None) -> int:
         status, text = 130, 'interrupted'
     _say(f'starcal {options.command}: {text}')
     return status
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Read a command line; a wrong one ends the process with status 2 and the usage."""
+    return _parser().parse_args(arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -121,7 +127,7 @@ def _command(commands: 'argparse._SubParsersAction[argparse.ArgumentParser]', na
 def _scenario(options: argparse.Namespace, **values: object) -> Scenario:
     path = options.config or resources.config_file('tan2018.yaml')
     given = {key: value for key, value in values.items() if value is not None}
-    scenario = config.load(path)
+    scenario = parameter_file.load(path)
     return scenario.replace({f'simulation.{key}': value for key, value in given.items()})
 
 
@@ -195,7 +201,7 @@ def _contradictions(attached: bytes | None, scenario: Scenario) -> Iterator[str]
     if attached is None:
         return
     try:
-        own = config.parse(attached.decode(errors='replace'), 'its configuration').flat()
+        own = parameter_file.parse(attached.decode(errors='replace'), 'its configuration').flat()
     except ConfigError as error:
         yield f'the recording has a configuration that can not be read: {error}'
         return

@@ -3,9 +3,9 @@
 """One scenario: every parameter of the suite, typed, validated, declared here and nowhere else.
 
 A scenario is a ROS 2 parameter file (``/**: ros__parameters:``). The command line reads it with
-`load`; the nodes declare the same fields as ROS parameters (``nodes/parameters.py``). Each field
-carries its unit, its range and its text. A parameter that is None may be left out and then has
-the meaning that its text gives.
+`parameter_file`; the nodes declare the same fields as ROS parameters (``nodes/parameters.py``).
+Each field carries its unit, its range and its text. A parameter that is None may be left out and
+then has the meaning that its text gives.
 
 The group ``truth`` repeats what the simulators may use in place of the nominal values; nothing
 that estimates reads it.
@@ -18,33 +18,13 @@ import difflib
 import hashlib
 import json
 import math
-import re
-import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
-from pathlib import Path
-from typing import Annotated, Any, Union
+from typing import Annotated, Any
 
-import yaml
-
-
-class ConfigError(ValueError):
-    """A parameter is unknown, of the wrong type or impossible; the message names it."""
-
-
-@dataclass(frozen=True)
-class Spec:
-    """What a parameter means and what is allowed."""
-
-    text: str
-    unit: str = ''
-    low: float = -math.inf
-    high: float = math.inf
-    length: int | None = None
-    choices: tuple[str, ...] = ()
-
+from starcal_ros.parameter import ConfigError, Parameter, Spec, declared
+from starcal_ros.utc import unix_ns
 
 Floats = tuple[float, ...]
 Strings = tuple[str, ...]
@@ -281,73 +261,6 @@ class Scenario:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One declared parameter: its Python type, default and meaning."""
-
-    kind: type
-    optional: bool
-    default: Any
-    spec: Spec
-
-    @property
-    def is_array(self) -> bool:
-        """Tell whether the value is a tuple."""
-        return typing.get_origin(self.kind) is tuple
-
-    @property
-    def element(self) -> type:
-        """Type of the value, of an array that of its elements."""
-        element: type = typing.get_args(self.kind)[0] if self.is_array else self.kind
-        return element
-
-    def convert(self, key: str, value: Any) -> Any:
-        """Return the value in its own type, lists as tuples; raise ConfigError otherwise."""
-        if self.is_array and isinstance(value, (list, tuple)):
-            return tuple(self._scalar(key, item) for item in value)
-        if self.is_array:
-            raise ConfigError(f'{key}: got {value!r}, needs a list of {self.element.__name__}')
-        return self._scalar(key, value)
-
-    def _scalar(self, key: str, value: Any) -> Any:
-        if type(value) is not self.element:
-            hint = f'; write {value}.0' if self.element is float and type(value) is int else ''
-            raise ConfigError(f'{key}: got {value!r} ({type(value).__name__}), '
-                              f'needs a {self.element.__name__}{hint}')
-        return value
-
-    def check(self, key: str, value: Any) -> None:
-        """Raise ConfigError where the value is outside what the Spec allows."""
-        if value is None:
-            return
-        items = value if self.is_array else (value,)
-        spec = self.spec
-        if spec.length is not None and len(items) != spec.length:
-            raise ConfigError(f'{key}: got {len(items)} values, needs {spec.length}')
-        for item in items:
-            if spec.choices and item not in spec.choices:
-                raise ConfigError(
-                    f'{key}: got {item!r}, allowed are {", ".join(map(repr, spec.choices))}')
-            if self.element in (int, float) and not spec.low <= item <= spec.high:
-                raise ConfigError(f'{key}: got {item}, allowed is '
-                                  f'{spec.low:g} to {spec.high:g} {spec.unit}'.rstrip())
-
-
-def _walk(group: type, prefix: str, default: Any) -> Iterator[tuple[str, Parameter]]:
-    hints = typing.get_type_hints(group, include_extras=True)
-    for item in dataclasses.fields(group):
-        hint, value = hints[item.name], getattr(default, item.name)
-        key = prefix + item.name
-        if dataclasses.is_dataclass(hint):
-            yield from _walk(typing.cast(type, hint), key + '.', value)
-            continue
-        base, spec = typing.get_args(hint)
-        optional = typing.get_origin(base) in (Union, types.UnionType)
-        if optional:
-            base = next(arg for arg in typing.get_args(base) if arg is not types.NoneType)
-        yield key, Parameter(base, optional, value, spec)
-
-
 _PARAMETERS: dict[str, Parameter] = {}
 
 
@@ -357,7 +270,7 @@ def parameters() -> Mapping[str, Parameter]:
         groups = typing.get_type_hints(Scenario)
         for item in dataclasses.fields(Scenario):
             group = groups[item.name]
-            _PARAMETERS.update(_walk(group, item.name + '.', group()))
+            _PARAMETERS.update(declared(group, item.name + '.', group()))
     return _PARAMETERS
 
 
@@ -419,97 +332,9 @@ def _check_together(scenario: Scenario) -> None:
 
 
 def stamp_ns(key: str, text: str) -> int:
-    """Return an ISO 8601 time (UTC unless it says otherwise) as Unix nanoseconds."""
+    """Return the ISO 8601 time of a parameter as ns since the Unix epoch."""
     try:
-        when = datetime.fromisoformat(text.removesuffix('Z'))
+        return unix_ns(text)
     except ValueError:
         raise ConfigError(f'{key}: got {text!r}, needs an ISO 8601 time such as '
                           '2026-07-02T12:00:00') from None
-    if when.tzinfo is None:
-        when = when.replace(tzinfo=timezone.utc)
-    since = when - datetime(1970, 1, 1, tzinfo=timezone.utc)
-    return (since.days * 86400 + since.seconds) * 10**9 + since.microseconds * 1000
-
-
-def _flatten(tree: Mapping[Any, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flatten(value, f'{prefix}{name}.')
-        else:
-            yield f'{prefix}{name}', value
-
-
-def parse(text: str, source: str) -> Scenario:
-    """Read a ROS 2 parameter file from its text; `source` is named in errors."""
-    try:
-        document = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
-        where = getattr(error, 'problem_mark', None)
-        line = f', line {where.line + 1}' if where else ''
-        raise ConfigError(f'{source}{line}: not YAML: '
-                          f'{getattr(error, "problem", error)}') from None
-    try:
-        tree = document['/**']['ros__parameters']
-        values = dict(_flatten(tree))
-    except (TypeError, KeyError, AttributeError):
-        raise ConfigError(f'{source}: not a ROS 2 parameter file, needs "/**:" with '
-                          '"ros__parameters:" below it') from None
-    try:
-        return from_flat(values)
-    except ConfigError as error:
-        raise ConfigError(f'{source}: {error}') from None
-
-
-def load(path: str | Path) -> Scenario:
-    """Read a scenario from a ROS 2 parameter file.
-
-    Raises
-    ------
-    ConfigError
-        Where the file cannot be read or holds anything that is not allowed.
-    """
-    try:
-        text = Path(path).read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else 'not a text file'
-        raise ConfigError(f'{path}: cannot be read: {reason}') from None
-    return parse(text, str(path))
-
-
-def dump(scenario: Scenario) -> str:
-    """Return the scenario as a ROS 2 parameter file; `parse` gives it back."""
-    tree: dict[str, Any] = {}
-    for key, value in scenario.flat().items():
-        if isinstance(value, tuple) and not value:
-            continue                # an empty list has no type, rclpy would refuse it
-        *path, name = key.split('.')
-        branch = tree
-        for part in path:
-            branch = branch.setdefault(part, {})
-        branch[name] = [_quoted(item) for item in value] if isinstance(value, tuple) else (
-            _quoted(value))
-    return yaml.dump({'/**': {'ros__parameters': tree}}, Dumper=_Dumper, sort_keys=False)
-
-
-class _Loader(yaml.SafeLoader):                         # type: ignore[misc]  # no hints
-    """With the floats of YAML 1.2, which rcl reads: 1e-3 has no point and no sign in YAML 1.1."""
-
-
-_Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(
-    r'[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$'), list('-+.0123456789'))
-
-
-class _Quoted(str):
-    """A string that is written in quotes: rcl reads a bare y, n, on or off as a bool."""
-
-
-def _quoted(value: Any) -> Any:
-    return _Quoted(value) if isinstance(value, str) else value
-
-
-class _Dumper(yaml.SafeDumper):                         # type: ignore[misc]  # no hints
-    pass
-
-
-_Dumper.add_representer(_Quoted, lambda dumper, value: dumper.represent_scalar(
-    'tag:yaml.org,2002:str', str(value), style="'"))

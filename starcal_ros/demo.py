@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros import config, resources, ros_conventions
+from starcal_ros import parameter_file, resources, ros_conventions
 from starcal_ros.bag import open_bag
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import N_STATES
@@ -69,7 +69,7 @@ def run_live(scenario: Scenario, folder: Path,
     scenario = scenario.replace({'recorder.output': str(recording),
                                  'simulation.wait_for_subscribers': 2})
     params_file = folder / PARAMETERS
-    params_file.write_text(config.dump(scenario), encoding='utf-8')
+    params_file.write_text(parameter_file.dump(scenario), encoding='utf-8')
     nodes: dict[str, subprocess.Popen[str]] = {}
     try:
         for name in ('recorder', 'estimator', *_SIMULATORS):

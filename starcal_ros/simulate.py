@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import config, rotation
+from starcal_ros import parameter_file, rotation
 from starcal_ros.config import Scenario
 from starcal_ros.record import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.record_writer import (LATCHED, Batch, Writer, centroids_batch, imu_batch,
@@ -51,7 +51,8 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
     variance = gyro.rate_variance
     with Writer(path, overwrite) as writer:
-        writer.attach(CONFIG_ATTACHMENT, config.dump(scenario).encode(), 'application/yaml')
+        writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
+                      'application/yaml')
         writer.attach(TRUTH_ATTACHMENT, json.dumps(truth.as_dict(), indent=1).encode(),
                       'application/json')
         writer.write_batches(*_latched(scenario, truth))

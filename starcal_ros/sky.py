@@ -34,7 +34,6 @@ the second beside it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone
 from functools import cache
 
 import erfa
@@ -42,6 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from starcal_ros.catalog import Catalog
+from starcal_ros.utc import unix_ns
 
 GM_EARTH = 3.986004418e14
 """Geocentric gravitational constant [m^3/s^2]: IERS Conventions (2010), Table 1.1."""
@@ -86,7 +86,7 @@ class Observer:
         if self.velocity not in OBSERVERS:
             raise ValueError(f'observer velocity {self.velocity!r}: '
                              f'one of {", ".join(OBSERVERS)} expected')
-        _unix_ns(self.epoch_utc)
+        unix_ns(self.epoch_utc)
 
     @property
     def radius(self) -> float:
@@ -123,7 +123,7 @@ class Observer:
                              'geocentre or orbit expected')
         if self.velocity == 'geocentre':
             return np.zeros((len(stamp_ns), 3)), np.zeros((len(stamp_ns), 3))
-        elapsed_ns = tai_ns(stamp_ns) - tai_ns([_unix_ns(self.epoch_utc)])
+        elapsed_ns = tai_ns(stamp_ns) - tai_ns([unix_ns(self.epoch_utc)])
         latitude = (np.radians(self.argument_of_latitude_deg)
                     + self.mean_motion * (1e-9 * elapsed_ns))[:, np.newaxis]
         inclination, node = np.radians([self.inclination_deg, self.raan_deg])
@@ -219,14 +219,6 @@ def _leap_seconds() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return when each TAI - UTC came into force, from 1972, and its value, both in ns."""
     table = erfa.leap_seconds.get()
     table = table[table['year'] >= 1972]
-    since_ns = [_unix_ns(f'{year:04d}-{month:02d}-01')
+    since_ns = [unix_ns(f'{year:04d}-{month:02d}-01')
                 for year, month in zip(table['year'], table['month'])]
     return np.array(since_ns, np.int64), np.rint(1e9 * table['tai_utc']).astype(np.int64)
-
-
-def _unix_ns(iso: str) -> int:
-    when = datetime.fromisoformat(iso.removesuffix('Z'))
-    if when.tzinfo is None:
-        when = when.replace(tzinfo=timezone.utc)
-    elapsed = when - datetime(1970, 1, 1, tzinfo=timezone.utc)
-    return elapsed // timedelta(microseconds=1) * 1000

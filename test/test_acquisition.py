@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import catalog, config, rotation, sky
+from starcal_ros import catalog, parameter_file, rotation, sky
 from starcal_ros.acquisition import MIN_STARS, AcquisitionError, acquire
 from starcal_ros.estimator import CALIBRATED, SCALE, SIGMA_ACQUIRED, THETA, Filter, Nominal, Stars
 from starcal_ros.scenario import observer
@@ -17,7 +17,7 @@ from starcal_ros.simulation.truth import Truth
 from starcal_ros.units import DEG
 
 # Truth against nominal: 374 arcsec of mounting, 11 px, 0.1 mm, and the distortion of T18 Table 1.
-SCENARIO = config.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
+SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 FILTER = Filter(SCENARIO)
 PLACES = range(12)
 

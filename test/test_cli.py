@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 import starcal_ros
-from starcal_ros import config, record
+from starcal_ros import parameter_file, record
 from starcal_ros.cli import main
 from starcal_ros.record_writer import Writer, centroids_batch, imu_batch
 from starcal_ros.simulation import sensors
 
 TOP = Path(__file__).resolve().parents[1]
 CONFIG = TOP / 'config' / 'tan2018.yaml'
-SCENARIO = config.load(CONFIG)
+SCENARIO = parameter_file.load(CONFIG)
 TOPICS = {'/imu/data_raw': ('sensor_msgs/msg/Imu', 2000),
           '/star_tracker/centroids': ('sensor_msgs/msg/PointCloud2', 40),
           '/star_tracker/camera_info': ('sensor_msgs/msg/CameraInfo', 1),
@@ -274,7 +274,8 @@ def test_seed_makes_the_noise_and_nothing_else_does(starcal, tmp_path):
 
 def test_simulated_recording_carries_the_scenario_that_was_run(bag):
     attached = record.read(bag).attachments['config.yaml'].decode()
-    assert config.parse(attached, 'bag') == SCENARIO.replace({'simulation.duration_s': 20.0})
+    carried = parameter_file.parse(attached, 'bag')
+    assert carried == SCENARIO.replace({'simulation.duration_s': 20.0})
 
 
 def test_calibrate_writes_the_result_and_says_where_it_came_from(starcal, bag, tmp_path):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from starcal_ros import config, resources, rotation, scenario
-from starcal_ros.config import ConfigError
+from starcal_ros import config, parameter_file, resources, rotation, scenario
+from starcal_ros.parameter import ConfigError
 from starcal_ros.units import ARCSEC
 
 EXTERNAL = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'external_tan2018'
@@ -18,7 +18,7 @@ HEAD = '/**:\n  ros__parameters:\n'
 
 @pytest.fixture(scope='module')
 def tan2018():
-    return config.load(resources.config_file('tan2018.yaml'))
+    return parameter_file.load(resources.config_file('tan2018.yaml'))
 
 
 def changed(tan2018):
@@ -59,7 +59,7 @@ def test_nominal_mounting_is_the_truth_turned_by_table_1s_fixed_angle_errors(tan
 
 def test_shipped_files_are_read_alike_by_ros(tan2018):
     """ROS 2 reads a bare y or n as a bool, PyYAML as a string: nowhere may one stand."""
-    for text in (resources.config_file('tan2018.yaml').read_text(), config.dump(tan2018)):
+    for text in (resources.config_file('tan2018.yaml').read_text(), parameter_file.dump(tan2018)):
         bare = [event.value for event in yaml.parse(text)
                 if isinstance(event, yaml.ScalarEvent) and event.style is None]
         assert '1024' in bare
@@ -71,7 +71,7 @@ def test_ros_reads_a_parameter_file(tan2018, tmp_path, shipped):
     rclpy = pytest.importorskip('rclpy')
     path = tmp_path / 'scenario.yaml'
     path.write_text(resources.config_file('tan2018.yaml').read_text() if shipped
-                    else config.dump(changed(tan2018)))
+                    else parameter_file.dump(changed(tan2018)))
     context = rclpy.Context()
     rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
     context.shutdown()
@@ -79,7 +79,7 @@ def test_ros_reads_a_parameter_file(tan2018, tmp_path, shipped):
 
 @pytest.mark.skipif(not EXTERNAL.exists(), reason='the recording of others is not here')
 def test_the_configuration_of_another_recording_is_read():
-    external = config.load(EXTERNAL / 'config.yaml')
+    external = parameter_file.load(EXTERNAL / 'config.yaml')
     assert external.mounting.quaternion_xyzw[3] == -0.9660380223439142
     assert external.motion == config.MotionConfig()
 
@@ -88,13 +88,13 @@ def test_the_configuration_of_another_recording_is_read():
 
 def test_what_is_dumped_is_parsed_to_the_same_scenario(tan2018):
     written = changed(tan2018)
-    again = config.parse(config.dump(written), 'x')
+    again = parameter_file.parse(parameter_file.dump(written), 'x')
     assert again == written
     assert again.sha256 == written.sha256
 
 
 def test_what_is_left_out_takes_its_default():
-    assert config.parse(HEAD + '    camera: {width: 640}', 'x') == (
+    assert parameter_file.parse(HEAD + '    camera: {width: 640}', 'x') == (
         config.Scenario(camera=config.CameraConfig(width=640)))
 
 
@@ -102,7 +102,7 @@ def test_what_is_left_out_takes_its_default():
     ('1.0e-3', 1e-3), ('.5', 0.5), ('2.', 2.0), ('1e-3', 1e-3), ('5e1', 50.0)])
 def test_a_number_that_ros_takes_for_a_double_is_a_float(text, value):
     """The forms of YAML 1.2 and of ROS 2's own reader."""
-    read = config.parse(f'{HEAD}    gyro: {{arw_deg_sqrt_h: {text}}}', 'x')
+    read = parameter_file.parse(f'{HEAD}    gyro: {{arw_deg_sqrt_h: {text}}}', 'x')
     assert read.gyro.arw_deg_sqrt_h == value
 
 
@@ -180,37 +180,38 @@ def test_a_dotted_name_is_the_path_to_its_field(tan2018):
 ])
 def test_an_error_names_the_source_the_key_the_value_and_what_is_allowed(lines, message):
     with pytest.raises(ConfigError) as error:
-        config.parse(f'{HEAD}    {lines}', 'my.yaml')
+        parameter_file.parse(f'{HEAD}    {lines}', 'my.yaml')
     assert str(error.value).startswith(f'my.yaml: {message}')
 
 
 def test_a_motion_that_takes_no_time_is_refused():
     with pytest.raises(ConfigError, match='motion'):
-        config.parse(HEAD + "    motion: {axes: ['x'], angles_deg: [0.0], dwell_s: 0.0}", 'x')
+        parameter_file.parse(
+            HEAD + "    motion: {axes: ['x'], angles_deg: [0.0], dwell_s: 0.0}", 'x')
 
 
 @pytest.mark.parametrize('text', ['', 'a: 1', '[1, 2]', '3', '/**: {}', '/**: [1]',
                                   '/**:\n  ros__parameters:', '/**:\n  ros__parameters: 3'])
 def test_a_file_of_another_kind_is_named(text):
     with pytest.raises(ConfigError, match='^my.yaml: not a ROS 2 parameter file, needs "/'):
-        config.parse(text, 'my.yaml')
+        parameter_file.parse(text, 'my.yaml')
 
 
 def test_broken_yaml_is_named_with_its_line():
     with pytest.raises(ConfigError, match='^my.yaml, line 3: not YAML: '):
-        config.parse(HEAD + ' - 1\n', 'my.yaml')
+        parameter_file.parse(HEAD + ' - 1\n', 'my.yaml')
 
 
 def test_a_missing_file_is_named(tmp_path):
     path = tmp_path / 'none.yaml'
     with pytest.raises(ConfigError) as error:
-        config.load(path)
+        parameter_file.load(path)
     assert str(error.value) == f'{path}: cannot be read: No such file or directory'
 
 
 def test_a_directory_is_named(tmp_path):
     with pytest.raises(ConfigError) as error:
-        config.load(tmp_path)
+        parameter_file.load(tmp_path)
     assert str(error.value) == f'{tmp_path}: cannot be read: Is a directory'
 
 
@@ -220,7 +221,7 @@ def test_a_binary_file_is_named(tmp_path, content):
     path = tmp_path / 'image'
     path.write_bytes(content)
     with pytest.raises(ConfigError) as error:
-        config.load(path)
+        parameter_file.load(path)
     assert str(error.value).startswith(str(path))
 
 

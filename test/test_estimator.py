@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import camera, config, rotation
+from starcal_ros import camera, config, parameter_file, rotation
 from starcal_ros.estimator import (CALIBRATED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE,
                                    SIGMA_ACQUIRED, STATE_NAMES, STATE_UNITS, THETA, UNIT, Belief,
                                    Filter, Nominal, Stars)
@@ -20,7 +20,7 @@ from starcal_ros.simulation.truth import Truth
 from starcal_ros.stream import Stream
 from starcal_ros.units import ARCSEC, DEG, DEG_PER_HOUR
 
-SCENARIO = config.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
+SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 FILTER = Filter(SCENARIO)
 OPEN_LOOP = Filter(SCENARIO.replace({'estimator.feedback': False}))
 QUIET = Filter(SCENARIO.replace({'gyro.arw_deg_sqrt_h': 0.0}))

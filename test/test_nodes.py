@@ -22,7 +22,7 @@ from sensor_msgs.msg import Imu, PointCloud2                                    
 from std_msgs.msg import Float64MultiArray                                      # noqa: E402
 from std_srvs.srv import SetBool, Trigger                                       # noqa: E402
 
-from starcal_ros import cdr, cdr_cloud, config, demo, record, ros_conventions   # noqa: E402
+from starcal_ros import cdr, cdr_cloud, demo, parameter_file, record, ros_conventions  # noqa: E402
 from starcal_ros import rotation                                                # noqa: E402
 from starcal_ros.bag import open_bag                                            # noqa: E402
 from starcal_ros.calibration import predicted_centroid                          # noqa: E402
@@ -32,7 +32,7 @@ from starcal_ros.simulation import sensors                                      
 from starcal_ros.simulation.truth import Truth                                  # noqa: E402
 
 DURATION_S = 60.0
-SCENARIO = config.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
+SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': DURATION_S, 'simulation.real_time_factor': 0.0})
 PATIENCE_S = 30.0
 
@@ -124,7 +124,7 @@ def test_recording_carries_configuration_and_truth(recorded):
     assert truth['intrinsics']['f_mm'] == 25.6
     np.testing.assert_allclose(truth['mounting']['fixed_angles_deg'], [-0.1, 30.0, -0.2],
                                atol=1e-12)
-    carried = config.parse(recorded.attachments['config.yaml'].decode(), 'attachment')
+    carried = parameter_file.parse(recorded.attachments['config.yaml'].decode(), 'attachment')
     assert carried.replace({'recorder.output': 'run.mcap'}) == SCENARIO.replace(
         {'simulation.wait_for_subscribers': 2})
 
@@ -154,7 +154,7 @@ def start(tmp_path):
 def parameters(tmp_path):
     """Return the words that give a node the scenario."""
     path = tmp_path / 'scenario.yaml'
-    path.write_text(config.dump(SCENARIO.replace({
+    path.write_text(parameter_file.dump(SCENARIO.replace({
         'estimator.calibration_file': str(tmp_path / 'saved.json')})))
     return '--params-file', str(path)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import config, rotation
+from starcal_ros import parameter_file, rotation
 from starcal_ros.estimator import CALIBRATED, PHI, UNIT
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.result import CalibrationError, converged, result, write_json
@@ -16,7 +16,7 @@ from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.stream import Stream
 
-SCENARIO = config.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
+SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 90.0})
 PROVENANCE = {'version': '1.2.3', 'config_sha256': 'ab', 'bag_sha256': 'cd'}
 

@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 import rclpy
 from rclpy.node import Node
-from starcal_ros.config import ConfigError
+from starcal_ros.parameter import ConfigError
 from starcal_ros.nodes.runtime import run
 
 

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from starcal_ros import catalog, config, preintegration, rotation, sky
+from starcal_ros import catalog, parameter_file, preintegration, rotation, sky
 from starcal_ros.estimator import CALIBRATED, EPSILON, LENS, PHI, PSI
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.scenario import observer
@@ -19,7 +19,7 @@ from starcal_ros.stream import Stream
 from starcal_ros.units import DEG
 
 # 30 s at rest, then 60 s of slew.
-SCENARIO = config.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
+SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 90.0})
 START_NS = Truth.from_scenario(SCENARIO).motion.start_ns
 SECOND_NS = 10**9

@@ -7,21 +7,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 import sys
 
-from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from starcal_ros import cdr
 from starcal_ros.nodes import parameters, runtime
-from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
-from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
+from starcal_ros.nodes.flow import FlowPublisher
+from starcal_ros.nodes.pacing import Item
+from starcal_ros.nodes.simulator import Simulator
 from starcal_ros.ros_conventions import GYRO_FRAME
 from starcal_ros.simulation import sensors
 
 _BATCH = 100
 
 
-class GyroSim(Node):
-    """Publish the readings of a scenario in the rhythm of their stamps, then end."""
+class GyroSim(Simulator):
+    """Publish the readings of a scenario."""
 
     def __init__(self) -> None:
         super().__init__('gyro_sim')
@@ -29,19 +29,7 @@ class GyroSim(Node):
         self._simulator = sensors.gyro(scenario)
         self._told = 0
         self._readings = FlowPublisher(self, Imu, 'imu/data_raw')
-        clock = SimulatedClock(self._simulator.start_ns, scenario.simulation.real_time_factor)
-        self._feed = Feed(self, clock, self._items())
-        when_subscribed(self, [self._readings], scenario.simulation.wait_for_subscribers,
-                        clock.begin)
-
-    @property
-    def finished(self) -> bool:
-        """True when the run is over and all of it delivered."""
-        return self._feed.finished
-
-    def close(self) -> None:
-        """Deliver what was published."""
-        self._feed.close()
+        self.begin(scenario.simulation, self._readings, self._items())
 
     def _items(self) -> Iterator[Item]:
         while len(samples := self._simulator.next(_BATCH)):

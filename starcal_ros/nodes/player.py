@@ -17,7 +17,8 @@ from rclpy.node import Node
 
 from starcal_ros.bag import Bag, Topic, open_bag
 from starcal_ros.cdr import RecordError
-from starcal_ros.config import ConfigError, PlayerConfig
+from starcal_ros.config import PlayerConfig
+from starcal_ros.parameter import ConfigError
 from starcal_ros.nodes import parameters, runtime
 from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
 from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock

@@ -22,7 +22,7 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros import config
+from starcal_ros import parameter_file
 from starcal_ros.nodes import parameters, runtime
 from starcal_ros.nodes.flow import MatchedSubscription
 from starcal_ros.nodes.topics import TOPICS, is_stamped, message_type, offered_qos
@@ -66,7 +66,8 @@ class Recorder(Node):
         wanted = [self.resolve_topic_name(name) for name in scenario.recorder.topics] or [*known]
         self._searched = {name for name in wanted if name not in known}
         self._writer = Writer(scenario.recorder.output)
-        self._writer.attach(CONFIG_ATTACHMENT, config.dump(scenario).encode(), 'application/yaml')
+        self._writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
+                            'application/yaml')
         for name in wanted:
             if topic := known.get(name):
                 self._subscribe(name, topic.type_name, topic.latched,

@@ -28,7 +28,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from starcal_ros.cdr import RecordError
-from starcal_ros.config import ConfigError
+from starcal_ros.parameter import ConfigError
 
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_USAGE = 0, 2

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 import sys
 
 from geometry_msgs.msg import QuaternionStamped
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros import cdr_cloud
 from starcal_ros.nodes import messages, parameters, runtime
-from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
-from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
+from starcal_ros.nodes.flow import FlowPublisher
+from starcal_ros.nodes.pacing import Item
+from starcal_ros.nodes.simulator import Simulator
 from starcal_ros.scenario import detector, intrinsics
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import VECTOR_LABEL
@@ -23,8 +23,8 @@ from starcal_ros.simulation.truth import VECTOR_LABEL
 _BATCH = 20
 
 
-class StarTrackerSim(Node):
-    """Publish the frames of a scenario in the rhythm of their stamps, then end."""
+class StarTrackerSim(Simulator):
+    """Publish the frames of a scenario, its nominal camera and its truth."""
 
     def __init__(self) -> None:
         super().__init__('star_tracker_sim')
@@ -40,20 +40,7 @@ class StarTrackerSim(Node):
             self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
         values = self._truth.vector()
         truth.publish(messages.labelled([(VECTOR_LABEL, len(values))], values))
-        clock = SimulatedClock(self._truth.motion.start_ns,
-                               scenario.simulation.real_time_factor)
-        self._feed = Feed(self, clock, self._items())
-        when_subscribed(self, [self._centroids], scenario.simulation.wait_for_subscribers,
-                        clock.begin)
-
-    @property
-    def finished(self) -> bool:
-        """True when the run is over and all of it delivered."""
-        return self._feed.finished
-
-    def close(self) -> None:
-        """Deliver what was published."""
-        self._feed.close()
+        self.begin(scenario.simulation, self._centroids, self._items())
 
     def _items(self) -> Iterator[Item]:
         while len(frames := self._simulator.next(_BATCH)):

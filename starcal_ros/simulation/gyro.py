@@ -50,11 +50,6 @@ class GyroSimulator:
         self._rng = rng
 
     @property
-    def start_ns(self) -> int:
-        """Stamp at which the run begins."""
-        return self._truth.motion.start_ns
-
-    @property
     def rate_variance(self) -> float:
         """Variance of the noise of a reading, each axis [rad^2/s^2]."""
         return self._walk**2 / (self._period_ns * NS)

@@ -1,0 +1,111 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a parameter is: its type, unit, range and text, and the errors of a wrong value.
+
+A group of parameters is a dataclass whose fields are ``Annotated[type, Spec(...)]``; `declared`
+lists them. A field of type ``T | None`` may be left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import dataclasses
+from dataclasses import dataclass
+import math
+import types
+import typing
+from typing import Any, Union
+
+
+class ConfigError(ValueError):
+    """A parameter is unknown, of the wrong type or impossible; the message names it."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What a parameter means and what is allowed."""
+
+    text: str
+    unit: str = ''
+    low: float = -math.inf
+    high: float = math.inf
+    length: int | None = None
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One declared parameter: its Python type, default and meaning."""
+
+    kind: type
+    optional: bool
+    default: Any
+    spec: Spec
+
+    @property
+    def is_array(self) -> bool:
+        """Tell whether the value is a tuple."""
+        return typing.get_origin(self.kind) is tuple
+
+    @property
+    def element(self) -> type:
+        """Type of the value, of an array that of its elements."""
+        element: type = typing.get_args(self.kind)[0] if self.is_array else self.kind
+        return element
+
+    def convert(self, key: str, value: Any) -> Any:
+        """Return the value in its own type, lists as tuples; raise ConfigError otherwise."""
+        if self.is_array and isinstance(value, (list, tuple)):
+            return tuple(self._scalar(key, item) for item in value)
+        if self.is_array:
+            raise ConfigError(f'{key}: got {value!r}, needs a list of {self.element.__name__}')
+        return self._scalar(key, value)
+
+    def _scalar(self, key: str, value: Any) -> Any:
+        if type(value) is not self.element:
+            hint = f'; write {value}.0' if self.element is float and type(value) is int else ''
+            raise ConfigError(f'{key}: got {value!r} ({type(value).__name__}), '
+                              f'needs a {self.element.__name__}{hint}')
+        return value
+
+    def check(self, key: str, value: Any) -> None:
+        """Raise ConfigError where the value is outside what the Spec allows."""
+        if value is None:
+            return
+        items = value if self.is_array else (value,)
+        spec = self.spec
+        if spec.length is not None and len(items) != spec.length:
+            raise ConfigError(f'{key}: got {len(items)} values, needs {spec.length}')
+        for item in items:
+            if spec.choices and item not in spec.choices:
+                raise ConfigError(
+                    f'{key}: got {item!r}, allowed are {", ".join(map(repr, spec.choices))}')
+            if self.element in (int, float) and not spec.low <= item <= spec.high:
+                raise ConfigError(f'{key}: got {item}, allowed is '
+                                  f'{spec.low:g} to {spec.high:g} {spec.unit}'.rstrip())
+
+
+def declared(group: type, prefix: str, default: Any) -> Iterator[tuple[str, Parameter]]:
+    """Yield the parameters of a group, and of groups in it, by dotted name.
+
+    Parameters
+    ----------
+    group : type
+        A dataclass.
+    prefix : str
+        Put before each name.
+    default : object
+        An instance that holds the defaults.
+    """
+    hints = typing.get_type_hints(group, include_extras=True)
+    for item in dataclasses.fields(group):
+        hint, value = hints[item.name], getattr(default, item.name)
+        key = prefix + item.name
+        if dataclasses.is_dataclass(hint):
+            yield from declared(typing.cast(type, hint), key + '.', value)
+            continue
+        base, spec = typing.get_args(hint)
+        optional = typing.get_origin(base) in (Union, types.UnionType)
+        if optional:
+            base = next(arg for arg in typing.get_args(base) if arg is not types.NoneType)
+        yield key, Parameter(base, optional, value, spec)
