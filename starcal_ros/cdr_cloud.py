@@ -31,6 +31,7 @@ CLOUD_TYPE = 'sensor_msgs/msg/PointCloud2'
 _NUMERIC = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 _FIELDS = {'u': 'f8', 'v': 'f8', 'sigma': 'f4', 'magnitude': 'f4', 'catalog_id': 'u4'}
 _POINT = np.dtype([(name, f'<{kind}') for name, kind in _FIELDS.items()])
+_LARGEST_ID = 2.0**53          # NaN is not below it either
 _WHEN_MISSING = {'sigma': 0.0, 'magnitude': np.nan, 'catalog_id': 0}
 _SHAPE = np.dtype([('height', 'u4'), ('width', 'u4')])
 _DATA = np.dtype([('row_step', 'u4'), ('length', 'u4')])
@@ -212,8 +213,10 @@ def _assemble(stamp_ns: NDArray[np.int64], counts: NDArray[np.int64],
         to = np.repeat(first[rows] - np.cumsum(n) + n, n) + np.arange(len(points))
         for name, column in columns.items():
             values = points[name] if name in (points.dtype.names or ()) else _WHEN_MISSING[name]
-            if name == 'catalog_id':
-                values = np.where(np.isfinite(values), values, 0)
-            column[to] = values
+            # A signalling NaN, or a number beyond int64, is data and no reason for a warning.
+            with np.errstate(invalid='ignore'):
+                if name == 'catalog_id':
+                    values = np.where(np.abs(values) < _LARGEST_ID, values, 0)
+                column[to] = values
     return Frames(stamp_ns, first, np.column_stack((columns['u'], columns['v'])),
                   columns['sigma'], columns['magnitude'], columns['catalog_id'])
