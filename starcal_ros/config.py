@@ -7,8 +7,8 @@ A scenario is a ROS 2 parameter file (``/**: ros__parameters:``). The command li
 Each field carries its unit, its range and its text. A parameter that is None may be left out and
 then has the meaning that its text gives.
 
-The group ``truth`` repeats what the simulators may use in place of the nominal values; nothing
-that estimates reads it.
+The group ``truth`` (`config_truth`) holds what the simulators use in place of the nominal values
+and which errors they add to them; nothing that estimates reads it.
 """
 
 from __future__ import annotations
@@ -23,12 +23,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
+from starcal_ros.config_truth import (MountingDriftConfig, TrueCameraConfig, TrueGyroConfig,
+                                      TrueObserverConfig, TrueStarTrackerConfig)
 from starcal_ros.parameter import ConfigError, Parameter, Spec, declared
 from starcal_ros.utc import unix_ns
 
 Floats = tuple[float, ...]
 Strings = tuple[str, ...]
 _TINY = 1e-12
+_LONGEST_TRAIL_DEG = 5.0        # across a field of view of some 15 deg
 
 
 @dataclass(frozen=True)
@@ -116,30 +119,15 @@ class ObserverConfig:
 
 
 @dataclass(frozen=True)
-class TrueCameraConfig:
-    """The camera that the simulators use; what is left out is as the nominal camera."""
-
-    focal_length_mm: Annotated[float | None, Spec('Focal length', 'mm', 0.1, 1e5)] = None
-    principal_point_px: Annotated[Floats | None, Spec(
-        'Principal point u0, v0', 'px', -1e4, 1e4, 2)] = None
-    distortion: Annotated[Floats | None, Spec(
-        'Distortion k1, k2, p1, p2', 'mm^-2, mm^-4, mm^-1, mm^-1', -1.0, 1.0, 4)] = None
-
-
-@dataclass(frozen=True)
-class TrueGyroConfig:
-    """The gyro that the simulators use."""
-
-    bias_deg_h: Annotated[Floats | None, Spec('Bias', 'deg/h', -1e6, 1e6, 3)] = None
-
-
-@dataclass(frozen=True)
 class TruthConfig:
-    """What the simulators use in place of the nominal values."""
+    """What the simulators use in place of the nominal values, and the errors they add."""
 
     camera: TrueCameraConfig = field(default_factory=TrueCameraConfig)
     mounting: MountingConfig = field(default_factory=MountingConfig)
+    mounting_drift: MountingDriftConfig = field(default_factory=MountingDriftConfig)
     gyro: TrueGyroConfig = field(default_factory=TrueGyroConfig)
+    star_tracker: TrueStarTrackerConfig = field(default_factory=TrueStarTrackerConfig)
+    observer: TrueObserverConfig = field(default_factory=TrueObserverConfig)
 
 
 @dataclass(frozen=True)
@@ -327,8 +315,13 @@ def _check_together(scenario: Scenario) -> None:
                           f'{len(motion.axes)} axes, needs as many, and at least one')
     if motion.dwell_s == 0.0 and not any(motion.angles_deg):
         raise ConfigError('motion.dwell_s: got 0.0 and no angle but 0, needs a dwell or an angle')
-    for key in ('observer.epoch_utc', 'simulation.start_utc'):
-        stamp_ns(key, _get(scenario, key))
+    trail_deg = motion.rate_deg_s * scenario.star_tracker.exposure_s
+    if scenario.truth.star_tracker.smear and trail_deg > _LONGEST_TRAIL_DEG:
+        raise ConfigError(f'truth.star_tracker.smear: got trails of {trail_deg:g} deg (slew rate '
+                          f'times exposure), allowed is 0 to {_LONGEST_TRAIL_DEG:g} deg')
+    for key in ('observer.epoch_utc', 'truth.observer.epoch_utc', 'simulation.start_utc'):
+        if (text := _get(scenario, key)) is not None:
+            stamp_ns(key, text)
 
 
 def stamp_ns(key: str, text: str) -> int:

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import rotation
 from starcal_ros.camera import Detector
-from starcal_ros.config import CameraConfig, MountingConfig, ObserverConfig, TrueCameraConfig
+from starcal_ros.config import CameraConfig, MountingConfig, ObserverConfig
+from starcal_ros.config_truth import TrueCameraConfig, TrueObserverConfig
 from starcal_ros.sky import Observer
 
 Array = NDArray[np.float64]
@@ -37,7 +40,10 @@ def mounting_matrix(mounting: MountingConfig) -> Array:
     return rotation.from_fixed_angles(np.radians(mounting.fixed_angles_deg or (0.0, 0.0, 0.0)))
 
 
-def observer(config: ObserverConfig) -> Observer:
-    """Return who looks at the sky."""
-    return Observer(config.velocity, config.altitude_km, config.inclination_deg,
-                    config.raan_deg, config.argument_of_latitude_deg, config.epoch_utc)
+def observer(config: ObserverConfig, instead: TrueObserverConfig | None = None) -> Observer:
+    """Return who looks at the sky; what `instead` states replaces the nominal values."""
+    values = {}
+    for item in dataclasses.fields(config):
+        value = getattr(instead, item.name, None)
+        values[item.name] = getattr(config, item.name) if value is None else value
+    return Observer(**values)

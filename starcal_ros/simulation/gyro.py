@@ -1,17 +1,18 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Gyro triad: true increments, bias and angular random walk.
+"""Gyro triad: true increments, scale, bias and angular random walk.
 
 Model
 -----
 ::
 
-    omega_m = (theta + b dt + N sqrt(dt) n) / dt,    n ~ N(0, I)               (G.1)
+    omega_m = ((I + M) theta + b dt + N sqrt(dt) n) / dt,    n ~ N(0, I)       (G.1)
 
-    theta   (3,)  rad            turn of g over the interval, from the true attitude at its ends
-    b       (3,)  rad/s          bias
-    N             rad/sqrt(s)    angular random walk
-    dt            s              sampling interval; a reading is stamped at its end
+    theta   (3,)    rad            turn of g over the interval, from the true attitude at its ends
+    M       (3, 3)  1              scale factors and misalignment (`gyro_scale`)
+    b       (3,)    rad/s          bias in the middle of the interval (`bias_walk`)
+    N               rad/sqrt(s)    angular random walk
+    dt              s              sampling interval; a reading is stamped at its end
 
 ``theta`` is the logarithm of the true rotation over the interval, which for a rotation about one
 axis, as in T18 Table 2, is the integral of the true rate: nothing is lost between samples.
@@ -24,6 +25,7 @@ import numpy as np
 from starcal_ros import rotation
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import GyroSamples
+from starcal_ros.simulation.gyro_scale import scale_error
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.units import DEG_PER_SQRT_HOUR, NS
 
@@ -45,14 +47,17 @@ class GyroSimulator:
         self.count = int(scenario.simulation.duration_s * scenario.gyro.rate_hz + 1e-6)
         self.next_index = 0
         self._period_ns = 1e9 / scenario.gyro.rate_hz
-        self._walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
+        self._stated_walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
+        walk = scenario.truth.gyro.arw_deg_sqrt_h
+        self._walk = self._stated_walk if walk is None else walk * DEG_PER_SQRT_HOUR
+        self._M = scale_error(scenario.truth.gyro)
         self._truth = truth
         self._rng = rng
 
     @property
     def rate_variance(self) -> float:
-        """Variance of the noise of a reading, each axis [rad^2/s^2]."""
-        return self._walk**2 / (self._period_ns * NS)
+        """Variance of the noise of a reading, each axis, as believed [rad^2/s^2]."""
+        return self._stated_walk**2 / (self._period_ns * NS)
 
     def stamp_ns(self, index: np.typing.ArrayLike) -> np.typing.NDArray[np.int64]:
         """Return the stamp of the reading with an index from 0: the end of its interval."""
@@ -68,5 +73,7 @@ class GyroSimulator:
         theta = rotation.log(np.swapaxes(C_ig[:-1], -1, -2) @ C_ig[1:])
         dt = np.diff(stamps)[:, None] * NS
         noise = self._rng.standard_normal(theta.shape)
-        rate = theta / dt + self._truth.bias + self._walk / np.sqrt(dt) * noise
-        return GyroSamples(stamps[1:], rate)
+        rate = theta / dt
+        rate += (self._M @ rate[..., None])[..., 0]
+        bias = self._truth.bias_at((stamps[:-1] + stamps[1:]) // 2)
+        return GyroSamples(stamps[1:], rate + bias + self._walk / np.sqrt(dt) * noise)

@@ -4,8 +4,13 @@
 
     uv_m = project(C_si u_i) + sigma n,    n ~ N(0, I)                          (T18 Eq. 5, 6)
 
-``u_i`` is the apparent place at the frame's stamp. A star is measured where its true image falls
-on the detector; all stars down to the limiting magnitude are, and all are identified.
+``u_i`` is the apparent place in the middle of the exposure, which is the frame's stamp less the
+true time offset of the stamps. A star is measured where its true image falls on the detector; all
+stars down to the limiting magnitude are, and all are identified, by their right numbers unless
+`misidentification` is on. The sigma that a frame states is the nominal one.
+
+Errors, each in a file of its own: `mounting_drift` turns C_si, `smear` moves the image and shapes
+its noise, `misidentification` and then `hot_pixels` work on the finished frame.
 """
 
 from __future__ import annotations
@@ -19,7 +24,12 @@ from starcal_ros.catalog import Catalog
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames
 from starcal_ros.scenario import observer
+from starcal_ros.simulation import smear
+from starcal_ros.simulation.hot_pixels import HotPixels
+from starcal_ros.simulation.misidentification import Misidentification
 from starcal_ros.simulation.truth import Truth
+
+Array = NDArray[np.float64]
 
 _MARGIN = 1e-3          # rad, more than aberration and proper motion move a star
 _BATCH = 500            # frames whose stars are searched at once: 20 MB
@@ -42,14 +52,21 @@ class StarTrackerSimulator:
 
     def __init__(self, scenario: Scenario, truth: Truth, stars: Catalog,
                  rng: np.random.Generator) -> None:
-        tracker = scenario.star_tracker
+        tracker, errors = scenario.star_tracker, scenario.truth.star_tracker
         self.count = int(scenario.simulation.duration_s * tracker.rate_hz + 1e-6)
         self.next_index = 0
         self._period_ns = 1e9 / tracker.rate_hz
-        self._sigma = tracker.centroid_sigma_px
+        self._stated_sigma = self._sigma = tracker.centroid_sigma_px
+        if errors.centroid_sigma_px is not None:
+            self._sigma = errors.centroid_sigma_px
+        self._late_ns = round(errors.time_offset_s * 1e9)
+        self._instants_ns = smear.instants_ns(tracker.exposure_s) if errors.smear else None
         self._stars = stars.brighter_than(tracker.limiting_magnitude)
         self._direction = erfa.s2c(self._stars.ra, self._stars.dec)
-        self._observer = observer(scenario.observer)
+        self._observer = observer(scenario.observer, scenario.truth.observer)
+        self._misidentification = (Misidentification(scenario, self._stars)
+                                   if errors.misidentified_fraction else None)
+        self._hot_pixels = HotPixels(scenario) if errors.hot_pixels_per_frame else None
         self.truth = truth
         self._rng = rng
         half = truth.detector.pitch_mm * np.hypot(truth.detector.width, truth.detector.height) / 2
@@ -71,16 +88,33 @@ class StarTrackerSimulator:
                                    for k in range(0, len(stamps), _BATCH)])
 
     def _observe(self, stamps_ns: NDArray[np.int64]) -> Frames:
-        C_si = self.truth.attitude_si(stamps_ns)
+        middle_ns = stamps_ns - self._late_ns
+        C_si = self.truth.attitude_si(middle_ns)
         near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
         frame, star = np.nonzero(near)
-        u_i = sky.apparent_places(self._stars, star, stamps_ns, near.sum(axis=1), self._observer)
-        r_s = (C_si[frame] @ u_i[..., None])[..., 0]
-        uv = camera.project(r_s, self.truth.intrinsics, self.truth.detector.pitch_mm)
+        u_i = sky.apparent_places(self._stars, star, middle_ns, near.sum(axis=1), self._observer)
+        uv, trail = self._image(C_si, frame, u_i), None
+        if self._instants_ns:
+            trail = np.stack([
+                self._image(self.truth.attitude_si(middle_ns + instant), frame, u_i)
+                for instant in self._instants_ns])
+            uv = smear.centroid(trail)
         seen = self.truth.detector.contains(uv)
         frame, star, uv = frame[seen], star[seen], uv[seen]
-        uv = uv + self._sigma * self._rng.standard_normal(uv.shape)
+        noise = self._rng.standard_normal(uv.shape)
+        if trail is not None:
+            noise = (smear.noise_factor(trail[:, seen]) @ noise[..., None])[..., 0]
+        uv = uv + self._sigma * noise
         counts = np.bincount(frame, minlength=len(stamps_ns))
-        return Frames(stamps_ns, np.concatenate(([0], np.cumsum(counts))),
-                      uv + self.truth.detector.centre_raster, np.full(len(uv), self._sigma),
-                      self._stars.magnitude[star], self._stars.hip[star])
+        frames = Frames(stamps_ns, np.concatenate(([0], np.cumsum(counts))),
+                        uv + self.truth.detector.centre_raster,
+                        np.full(len(uv), self._stated_sigma), self._stars.magnitude[star],
+                        self._stars.hip[star])
+        if self._misidentification:
+            frames = self._misidentification.confuse(frames)
+        return self._hot_pixels.add(frames) if self._hot_pixels else frames
+
+    def _image(self, C_si: Array, frame: NDArray[np.int64], u_i: Array) -> Array:
+        """Return where the stars (n, 3) of some frames are at the attitudes (n_frames, 3, 3)."""
+        r_s = (C_si[frame] @ u_i[..., None])[..., 0]
+        return camera.project(r_s, self.truth.intrinsics, self.truth.detector.pitch_mm)

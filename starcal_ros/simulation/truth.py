@@ -1,6 +1,10 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The true values behind a simulated recording: camera, mounting, bias, attitude."""
+"""The true values behind a simulated recording: camera, mounting, bias, attitude.
+
+``truth/parameters`` and ``truth.json`` hold constants: where the bias walks, its value at the
+start; where the mounting drifts, its mean. `Truth` has both as functions of time too.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,10 @@ from starcal_ros import rotation
 from starcal_ros.camera import INTRINSICS_KEYS, Detector
 from starcal_ros.config import Scenario
 from starcal_ros.scenario import detector, intrinsics, mounting_matrix
+from starcal_ros.simulation.bias_walk import bias_walk
 from starcal_ros.simulation.motion import Motion
+from starcal_ros.simulation.mounting_drift import mounting_drift
+from starcal_ros.simulation.process import Process
 from starcal_ros.units import DEG_PER_HOUR
 
 Array = NDArray[np.float64]
@@ -37,9 +44,13 @@ class Truth:
     intrinsics : (7,) array
         Camera, as in `starcal_ros.camera`.
     C_sg : (3, 3) array
-        Mounting.
+        Mounting, its mean where it drifts.
     bias : (3,) array
-        Gyro bias, in g [rad/s].
+        Gyro bias, in g, at the start [rad/s].
+    drift : Process, optional
+        Rotation vector Psi of the mounting from its mean, in s [rad].
+    walk : Process, optional
+        Change of the bias since the start, in g [rad/s].
     """
 
     motion: Motion
@@ -47,6 +58,8 @@ class Truth:
     intrinsics: Array
     C_sg: Array
     bias: Array
+    drift: Process | None = None
+    walk: Process | None = None
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Truth:
@@ -57,11 +70,22 @@ class Truth:
         return cls(Motion.from_scenario(scenario), detector(scenario.camera),
                    intrinsics(scenario.camera, truth.camera),
                    mounting_matrix(truth.mounting if given else scenario.mounting),
-                   np.array(bias) * DEG_PER_HOUR)
+                   np.array(bias) * DEG_PER_HOUR, mounting_drift(scenario), bias_walk(scenario))
+
+    def bias_at(self, stamps_ns: NDArray[np.int64]) -> Array:
+        """Return the gyro bias, (n, 3), in g at each stamp [rad/s]."""
+        walked = 0.0 if self.walk is None else self.walk.at(stamps_ns)
+        return np.broadcast_to(self.bias + walked, (len(stamps_ns), 3))
+
+    def mounting_at(self, stamps_ns: NDArray[np.int64]) -> Array:
+        """Return C_sg, (n, 3, 3), at each stamp."""
+        if self.drift is None:
+            return np.broadcast_to(self.C_sg, (len(stamps_ns), 3, 3))
+        return rotation.exp(self.drift.at(stamps_ns)) @ self.C_sg
 
     def attitude_si(self, stamps_ns: NDArray[np.int64]) -> Array:
         """Return C_si, (n, 3, 3), of the star tracker at each stamp."""
-        return self.C_sg @ np.swapaxes(self.motion.attitude(stamps_ns), -1, -2)
+        return self.mounting_at(stamps_ns) @ np.swapaxes(self.motion.attitude(stamps_ns), -1, -2)
 
     def vector(self) -> Array:
         """Return the values of ``truth/parameters``, (13,), as VECTOR_LABEL names them."""
