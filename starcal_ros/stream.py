@@ -40,7 +40,7 @@ _FRAMES_KEPT = 20_000       # frames kept while no gyro comes
 _BATCH = 2000               # frames prepared at once
 _NEVER_NS = np.iinfo(np.int64).min
 _OUTSIDE = 1.1              # a centroid may lie this far out, in halves of the detector
-_SIGMA_PX = (1e-4, 1e3)     # of a centroid; outside, the arithmetic of the filter ends
+SIGMA_PX = (1e-4, 1e3)     # of a centroid; outside, the arithmetic of the filter ends
 _NAMED = 20                 # notices of one kind, at most
 
 
@@ -113,7 +113,7 @@ class Stream:
         self.stamp_ns = 0                               # of the last frame processed
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
-        self._sigma = max(scenario.star_tracker.centroid_sigma_px, _SIGMA_PX[0])
+        self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
         self._patience = scenario.estimator.reacquire_after_frames
         self._observer = observer(scenario.observer)
         self._gyro = GyroSamples.empty()
@@ -281,7 +281,7 @@ class Stream:
         uv = frames.uv_raster - self.filter.detector.centre_raster
         sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
         measured = (self.filter.detector.contains(uv / _OUTSIDE)
-                    & (sigma >= _SIGMA_PX[0]) & (sigma <= _SIGMA_PX[1]))
+                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
         usable = measured & (row >= 0)
         self.counts.unusable_stars += int((~usable).sum())
         for k in np.flatnonzero(~measured)[:1]:
@@ -289,7 +289,7 @@ class Stream:
             self._notice('star', f'star {frames.catalog_id[k]} of the frame at '
                          f'{frames.stamp_ns[frame[k]]} ns has u, v = {u:g}, {v:g} and sigma '
                          f'{sigma[k]:g}; needs a place on the detector and a sigma of '
-                         '{:g} to {:g} px: left out'.format(*_SIGMA_PX))
+                         '{:g} to {:g} px: left out'.format(*SIGMA_PX))
         unknown = frames.catalog_id[measured & (row < 0)]
         for number in np.unique(unknown[unknown != 0])[:_NAMED].tolist():
             self._notice(number, f'star number {number} is not in the catalogue: left out')

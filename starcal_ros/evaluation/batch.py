@@ -1,0 +1,225 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Many independent runs of one scenario at once: the filter's leading axis.
+
+All runs see the same motion, sky and camera; each has the noise of its own seed and is, to the
+bit, what ``starcal simulate --seed`` makes. Stars are gated; the recovery of a lost attitude, a
+matter of single streams, is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import catalog, rotation, sky
+from starcal_ros.acquisition import acquire
+from starcal_ros.config import Scenario
+from starcal_ros.estimator import PHI, Belief, Filter, Nominal, Stars
+from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.preintegration import Preintegrated, preintegrate
+from starcal_ros.scenario import observer
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.gyro import GyroSimulator
+from starcal_ros.simulation.truth import Truth
+from starcal_ros.stream import REPROJECTION_S, SIGMA_PX
+from starcal_ros.units import NS
+
+Array = NDArray[np.float64]
+
+RECORD_S = 60.0         # between the errors that are kept
+_CHUNK = 500            # frames simulated at once
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What n runs gave.
+
+    Attributes
+    ----------
+    seed : (n,) int64 array
+        Seeds.
+    time : (n, m) array
+        When the errors were taken, the last of them after the last frame [s].
+    error : (n, m, 16) array
+        Estimate minus truth, T18's states, in the filter's units.
+    sigma : (n, m, 16) array
+        What the filter states.
+    nees : (n, m) array
+        Normalised estimation error squared, 16 degrees of freedom.
+    nis, nis_degrees : (n,) array
+        Sums over the run: normalised innovations squared, their degrees of freedom.
+    attitude_rms : (n, 3) array
+        RMS of phi over the second half of the run [rad].
+    reprojection_rms : (n, 2) array
+        RMS of measured minus predicted centroids over the last ten minutes [px].
+    """
+
+    seed: NDArray[np.int64]
+    time: Array
+    error: Array
+    sigma: Array
+    nees: Array
+    nis: Array
+    nis_degrees: Array
+    attitude_rms: Array
+    reprojection_rms: Array
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Runs]) -> Runs:
+        """Join batches."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts])
+                     for field in fields(cls)))
+
+
+def run_batch(scenario: Scenario, seeds: Sequence[int],
+              on_progress: Callable[[float], None] = lambda part: None) -> Runs:
+    """Simulate and estimate one scenario with several seeds.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its own seed does not matter.
+    seeds : sequence of int
+        One for each run.
+    on_progress : callable
+        Called with the part done, 0 to 1.
+    """
+    runs = [scenario.replace({'simulation.seed': int(seed)}) for seed in seeds]
+    trackers = [sensors.star_tracker(run) for run in runs]
+    gyros = [_Gyro(sensors.gyro(run)) for run in runs]
+    filter_ = Filter(scenario)
+    tally = _Tally(seeds, Truth.from_scenario(scenario), trackers[0].count,
+                   scenario.star_tracker.rate_hz)
+    belief: Belief | None = None
+    cut_ns: list[int] = []
+    for done in range(0, trackers[0].count, _CHUNK):
+        frames = [tracker.next(_CHUNK) for tracker in trackers]
+        stamps = frames[0].stamp_ns
+        stars, counts = _padded(frames, scenario, filter_)
+        cuts = np.concatenate((cut_ns or stamps[:1], stamps))
+        gyro = Preintegrated(*(np.stack(parts, axis=1) for parts in zip(
+            *(g.preintegrate(cuts, filter_, scenario.gyro.rate_hz) for g in gyros))))
+        cut_ns = [int(stamps[-1])]
+        for k, stamp_ns in enumerate(stamps.tolist()):
+            frame = Stars(*(part[:, k, :counts[k]] for part in stars))
+            if belief is None:
+                belief, frame = _acquired(filter_, frame)
+            else:
+                belief = filter_.propagate(belief, Preintegrated(*(part[k] for part in gyro)))
+            update = filter_.update(belief, frame)
+            belief = update.belief
+            tally.add(done + k, stamp_ns, belief, update.nis, update.accepted, update.residual)
+        on_progress(min(1.0, (done + _CHUNK) / trackers[0].count))
+    return tally.runs()
+
+
+class _Gyro:
+    """One run's readings, made as far as they are needed."""
+
+    def __init__(self, simulator: GyroSimulator) -> None:
+        self._simulator = simulator
+        self._kept = GyroSamples.empty()
+
+    def preintegrate(self, cuts_ns: NDArray[np.int64], filter_: Filter, rate_hz: float
+                     ) -> Preintegrated:
+        missing = cuts_ns[-1] - self._simulator.stamp_ns(self._simulator.next_index - 1)
+        count = max(int(np.ceil(missing * NS * rate_hz - 1e-6)), 0 if len(self._kept) else 1)
+        samples = GyroSamples.concatenate((self._kept, self._simulator.next(count)))
+        first = int(np.searchsorted(samples.stamp_ns, cuts_ns[-1], side='right')) - 1
+        self._kept = samples[max(first, 0):]
+        return preintegrate(samples, cuts_ns, filter_.start.bias, 1e9 / rate_hz)
+
+
+def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
+            ) -> tuple[Stars, NDArray[np.int64]]:
+    """Return the stars of all runs, (runs, frames, n, ...), and how many each frame has at most.
+
+    Places that a frame does not fill have an infinite sigma.
+    """
+    counts = np.max([part.star_counts for part in frames], axis=0)
+    shape = (len(frames), len(counts), int(counts.max(initial=0)))
+    padded = Stars(np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3)).copy(), np.zeros((*shape, 2)),
+                   np.full(shape, np.inf))
+    u_i = np.empty((0, 3))
+    for run, part in enumerate(frames):
+        known = run > 0 and np.array_equal(part.catalog_id, frames[run - 1].catalog_id)
+        if not known:
+            stars = catalog.load_containing(part.catalog_id)
+            row = stars.rows(part.catalog_id)
+            u_i = sky.apparent_places(stars, np.maximum(row, 0), part.stamp_ns, part.star_counts,
+                                      observer(scenario.observer))
+        k = np.repeat(np.arange(len(part)), part.star_counts)
+        rank = np.arange(len(k)) - part.first[k]
+        padded.u_i[run, k, rank] = u_i
+        padded.uv[run, k, rank] = part.uv_raster - filter_.detector.centre_raster
+        sigma = np.where(part.sigma > 0.0, part.sigma, scenario.star_tracker.centroid_sigma_px)
+        padded.sigma[run, k, rank] = np.where(row >= 0, np.maximum(sigma, SIGMA_PX[0]), np.inf)
+    return padded, counts
+
+
+def _acquired(filter_: Filter, frame: Stars) -> tuple[Belief, Stars]:
+    """Find the attitude of each run and stack the beliefs."""
+    found = [acquire(filter_, None, Stars(*(part[run] for part in frame)))
+             for run in range(len(frame.sigma))]
+    nominal = Nominal(*(np.stack([getattr(belief.nominal, field.name) for belief, _ in found])
+                        for field in fields(Nominal)))
+    return (Belief(nominal, np.stack([belief.error for belief, _ in found]),
+                   np.stack([belief.root for belief, _ in found])),
+            frame._replace(sigma=np.stack([stars.sigma for _, stars in found])))
+
+
+class _Tally:
+    """Collects what `Runs` holds."""
+
+    def __init__(self, seeds: Sequence[int], truth: Truth, frames: int, rate_hz: float) -> None:
+        self._seeds, self._truth, self._frames = seeds, truth, frames
+        self._every = max(1, round(RECORD_S * rate_hz))
+        self._last_minutes = frames - round(REPROJECTION_S * rate_hz)
+        n = len(seeds)
+        self._time: list[float] = []
+        self._error: list[Array] = []
+        self._sigma: list[Array] = []
+        self._nees: list[Array] = []
+        self._nis, self._degrees = np.zeros(n), np.zeros(n)
+        self._phi, self._squares, self._used = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n)
+
+    def add(self, index: int, stamp_ns: int, belief: Belief, nis: Array,
+            accepted: NDArray[np.bool_], residual: Array) -> None:
+        """Take what one frame gave."""
+        self._nis += nis
+        self._degrees += 2.0 * accepted.sum(axis=-1)
+        if index >= self._last_minutes:
+            self._squares += np.sum(np.where(accepted[..., None], residual, 0.0)**2, axis=-2)
+            self._used += accepted.sum(axis=-1)
+        second_half, kept = 2 * index >= self._frames, (index + 1) % self._every == 0
+        if not (second_half or kept or index + 1 == self._frames):
+            return
+        truth, estimate = self._nominal(stamp_ns), belief.estimate
+        phi = rotation.log(truth.C_gi.T @ estimate.C_gi)                # T18 Eq. 7
+        self._phi += phi**2 if second_half else 0.0
+        if kept or index + 1 == self._frames:
+            error = estimate.minus(truth)
+            error[..., PHI] = phi
+            self._time.append((stamp_ns - self._truth.motion.start_ns) * NS)
+            self._error.append(error)
+            self._sigma.append(belief.sigma)
+            self._nees.append(belief.nees(truth))
+
+    def runs(self) -> Runs:
+        """Return it all."""
+        n = len(self._seeds)
+        half = self._frames - (self._frames + 1) // 2
+        return Runs(np.array(self._seeds, np.int64), np.tile(self._time, (n, 1)),
+                    np.stack(self._error, axis=1), np.stack(self._sigma, axis=1),
+                    np.stack(self._nees, axis=1), self._nis, self._degrees,
+                    np.sqrt(self._phi / max(half, 1)),
+                    np.sqrt(self._squares / np.maximum(self._used, 1.0)[:, None]))
+
+    def _nominal(self, stamp_ns: int) -> Nominal:
+        truth = self._truth
+        C_gi = truth.motion.attitude(np.array([stamp_ns]))[0].T
+        return Nominal(C_gi, truth.bias, truth.C_sg, truth.intrinsics)

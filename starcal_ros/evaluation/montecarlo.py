@@ -1,0 +1,212 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Monte Carlo: many runs of one scenario, or of several that differ in one parameter.
+
+Batches of runs share a process (the filter's leading axis) and are spread over cores, or over a
+Dask cluster, by joblib. Each finished batch is kept in a folder beside the result until all are
+there, so that a killed study goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+import json
+from pathlib import Path
+import shutil
+from typing import Any
+
+import joblib
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import catalog, parameter_file, sky
+from starcal_ros.config import Scenario, parameters
+from starcal_ros.estimator import N_STATES, STATE_NAMES, STATE_UNITS, UNIT, Filter
+from starcal_ros.evaluation import consistency
+from starcal_ros.evaluation.batch import Runs, run_batch
+from starcal_ros.evaluation.bounds import cramer_rao
+from starcal_ros.parameter import ConfigError
+from starcal_ros.scenario import observer
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.truth import Truth
+
+Array = NDArray[np.float64]
+
+BATCH = 25              # runs in a batch: enough to share the work of a frame, and to keep often
+_PROBABILITY = 0.95
+
+
+@dataclass(frozen=True)
+class Study:
+    """A scenario to be run many times, at each value of a parameter that is swept.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What all runs have in common.
+    runs : int
+        Number of runs, at each value.
+    key : str
+        Parameter that is swept, '' for none.
+    values : tuple
+        Its values; one None where nothing is swept.
+    """
+
+    scenario: Scenario
+    runs: int
+    key: str = ''
+    values: tuple[Any, ...] = (None,)
+
+    @classmethod
+    def of(cls, scenario: Scenario, runs: int, sweep: str | None) -> Study:
+        """Read a sweep ``key=value,value,…``.
+
+        Raises
+        ------
+        ConfigError
+            Where the key or a value is not a parameter's.
+        """
+        if runs < 1:
+            raise ConfigError(f'runs: got {runs}, needs at least 1')
+        if not sweep:
+            return cls(scenario, runs)
+        key, _, listed = sweep.partition('=')
+        if key not in parameters():
+            scenario.replace({key: None})       # which says what is wrong with the key
+        if not listed:
+            raise ConfigError(f'{key}: got no values, needs {key}=value,value,…')
+        element = parameters()[key].element
+        try:
+            values = tuple(element(text) for text in listed.split(','))
+        except ValueError:
+            raise ConfigError(f'{key}: got {listed!r}, needs {element.__name__} values with '
+                              'commas between them') from None
+        study = cls(scenario, runs, key, values)
+        for value in values:
+            study.at(value)
+        return study
+
+    def at(self, value: Any) -> Scenario:
+        """Return the scenario at one value."""
+        return self.scenario.replace({self.key: value}) if self.key else self.scenario
+
+    def seeds(self) -> list[list[int]]:
+        """Return the seeds of each batch: those from the scenario's own on."""
+        first = self.scenario.simulation.seed
+        seeds = list(range(first, first + self.runs))
+        return [seeds[low:low + BATCH] for low in range(0, self.runs, BATCH)]
+
+
+def run(study: Study, parts: Path, jobs: int = -1, backend: str = 'loky',
+        on_progress: Callable[[float], None] = lambda part: None) -> list[Runs]:
+    """Run a study, or what is missing of it.
+
+    Parameters
+    ----------
+    study : Study
+        What to run.
+    parts : Path
+        Folder of the finished batches.
+    jobs : int
+        Processes, -1 for one a core.
+    backend : str
+        joblib's: ``loky``, or ``dask`` where a ``distributed.Client`` is open.
+    on_progress : callable
+        Called with the part done, 0 to 1.
+
+    Returns
+    -------
+    list of Runs
+        One for each value.
+    """
+    parts.mkdir(parents=True, exist_ok=True)
+    tasks = [(study.at(value), seeds) for value in study.values for seeds in study.seeds()]
+    names = [parts / f'{scenario.replace({"simulation.seed": 0}).sha256[:16]}'
+             f'_{seeds[0]}_{len(seeds)}.npz' for scenario, seeds in tasks]
+    missing = [k for k, name in enumerate(names) if not name.exists()]
+    on_progress(1.0 - len(missing) / len(names))
+    with joblib.parallel_config(backend=backend, n_jobs=jobs):
+        results = joblib.Parallel(return_as='generator_unordered')(
+            joblib.delayed(_task)(k, *tasks[k]) for k in missing)
+        for done, (k, batch) in enumerate(results, start=1):
+            save(names[k], {field.name: getattr(batch, field.name) for field in fields(Runs)})
+            on_progress(1.0 - (len(missing) - done) / len(names))
+    batches = [_load(name) for name in names]
+    each = len(study.seeds())
+    return [Runs.concatenate(batches[low:low + each]) for low in range(0, len(batches), each)]
+
+
+def _task(index: int, scenario: Scenario, seeds: Sequence[int]) -> tuple[int, Runs]:
+    return index, run_batch(scenario, seeds)
+
+
+def save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write an NPZ file so that it is there whole or not at all."""
+    unfinished = path.with_name(path.name + '.part')
+    with unfinished.open('wb') as stream:
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+    unfinished.replace(path)
+
+
+def _load(path: Path) -> Runs:
+    with np.load(path) as arrays:
+        return Runs(**{field.name: arrays[field.name] for field in fields(Runs)})
+
+
+def bound(scenario: Scenario) -> Array:
+    """Return the Cramér–Rao bound on T18's 16 states after the last frame, (16,) sigmas."""
+    tracker = sensors.star_tracker(scenario)
+    frames = tracker.next(tracker.count)
+    stars = catalog.load(scenario.star_tracker.limiting_magnitude)
+    u_i = sky.apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
+                              frames.star_counts, observer(scenario.observer))
+    covariance = cramer_rao(Filter(scenario), Truth.from_scenario(scenario), frames, u_i)
+    return np.sqrt(np.diag(covariance))
+
+
+def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:
+    """Return what the runs of one scenario say, with the 95 % intervals of a true filter.
+
+    RMS, bound and sigma are in the units of STATE_UNITS.
+    """
+    n = len(runs.seed)
+    limit = bound(scenario)
+    rms = np.sqrt(np.mean(runs.error[:, -1]**2, axis=0))
+    nees = consistency.mean_interval(N_STATES, n, _PROBABILITY)
+    degrees = float(runs.nis_degrees.sum())
+    nis = consistency.nis_interval(degrees, scenario.estimator.gate_probability, _PROBABILITY)
+    ratio = consistency.rms_interval(n, _PROBABILITY)
+    return {
+        'runs': n,
+        'duration_s': scenario.simulation.duration_s,
+        'nees_mean': float(runs.nees[:, -1].mean()), 'nees_interval_95': list(nees),
+        'nis_mean': float(runs.nis.sum() / degrees),
+        'nis_interval_95': list(nis),
+        'ratio_interval_95': list(ratio),
+        'attitude_rms_arcsec': (np.sqrt(np.mean(runs.attitude_rms**2, axis=0))
+                                / UNIT[0]).tolist(),
+        'reprojection_rms_px': np.sqrt(np.mean(runs.reprojection_rms**2, axis=0)).tolist(),
+        'states': {name: {'unit': unit, 'rms': float(rms[k] / UNIT[k]),
+                          'bound': float(limit[k] / UNIT[k]), 'ratio': float(rms[k] / limit[k]),
+                          'sigma': float(runs.sigma[:, -1, k].mean() / UNIT[k])}
+                   for k, (name, unit) in enumerate(zip(STATE_NAMES, STATE_UNITS))},
+    }
+
+
+def finish(study: Study, results: Sequence[Runs], out: Path, parts: Path) -> dict[str, Any]:
+    """Write the summary (JSON) and beside it all runs (NPZ), drop the parts; return the summary.
+
+    With a sweep the summary has one entry a value under ``points``.
+    """
+    points = [{**({study.key: value} if study.key else {}), **summarize(study.at(value), runs)}
+              for value, runs in zip(study.values, results)]
+    summary = {'sweep': study.key, 'points': points} if study.key else points[0]
+    text = parameter_file.dump(study.scenario)
+    merged = asdict(Runs.concatenate(results))
+    merged['value'] = np.repeat([str(value) for value in study.values], study.runs)
+    save(out.with_suffix('.npz'), {**merged, 'config': np.array(text),
+                                   'sweep': np.array(study.key)})
+    out.write_text(json.dumps(summary, indent=1, allow_nan=False) + '\n', encoding='utf-8')
+    shutil.rmtree(parts)
+    return summary

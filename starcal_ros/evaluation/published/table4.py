@@ -1,0 +1,55 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""T18 Table 4: RMS errors under different star centroid accuracies, 100 runs each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from starcal_ros.config import Scenario
+from starcal_ros.estimator import CALIBRATED, STATE_NAMES, STATE_UNITS
+from starcal_ros.evaluation import montecarlo
+from starcal_ros.evaluation.montecarlo import Study
+from starcal_ros.evaluation.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED, Outcome
+
+KEY, VALUES = 'star_tracker.centroid_sigma_px', (0.0, 0.05, 0.10, 0.15, 0.20)
+PAPER = {
+    'epsilon_x': (3.2e-4, 3.8e-4, 3.6e-4, 3.5e-4, 3.7e-4),
+    'epsilon_y': (3.4e-4, 3.4e-4, 3.5e-4, 3.4e-4, 3.3e-4),
+    'epsilon_z': (3.8e-4, 3.9e-4, 3.5e-4, 3.7e-4, 3.8e-4),
+    'psi_x': (0.5, 2.4, 4.4, 6.3, 9.6),
+    'psi_y': (0.4, 2.1, 3.9, 5.8, 8.3),
+    'psi_z': (0.4, 0.5, 0.6, 0.9, 0.9),
+    'u0': (0.007, 0.041, 0.076, 0.112, 0.159),
+    'v0': (0.006, 0.045, 0.083, 0.120, 0.182),
+    'f': (2.6e-5, 3.0e-5, 7.3e-5, 1.5e-4, 2.7e-4),
+    'k1': (4.3e-7, 3.7e-7, 4.5e-7, 8.8e-7, 1.7e-6),
+    'k2': (7.2e-8, 7.7e-8, 9.4e-8, 1.1e-7, 1.5e-7),
+    'p1': (3.1e-7, 3.7e-7, 4.8e-7, 6.3e-7, 8.7e-7),
+    'p2': (2.9e-7, 3.4e-7, 4.8e-7, 6.3e-7, 9.4e-7),
+}
+NOISELESS = ('Centroids without noise are weighted as if of 1e-4 px: the filter needs some, and '
+             'the bound is that of this weight. What is left at 0 px is then no noise but what '
+             'the linear model leaves out.')
+
+
+def reproduce(scenario: Scenario, runs: int, work: Path,
+              on_progress: Callable[[float], None]) -> Outcome:
+    """Run the study of Table 4."""
+    return swept(f'T18 Table 4, RMS of {runs} runs', Study(scenario, runs, KEY, VALUES), PAPER,
+                 (NOT_STATED, BIAS_BELOW_BOUND, NOISELESS), work, on_progress)
+
+
+def swept(title: str, study: Study, paper: Mapping[str, tuple[float, ...]], notes: tuple[str, ...],
+          work: Path, on_progress: Callable[[float], None]) -> Outcome:
+    """Run a study and put its numbers beside those of a paper, given by state."""
+    results = montecarlo.run(study, work, on_progress=on_progress)
+    points = [montecarlo.summarize(study.at(value), runs)['states']
+              for value, runs in zip(study.values, results)]
+    units = dict(zip(STATE_NAMES, STATE_UNITS))
+    return Outcome(title, BESIDE, tuple(
+        (f'{study.key} = {value:g}', name, units[name], paper[name][k], point[name]['rms'],
+         point[name]['bound'], point[name]['ratio'])
+        for k, (value, point) in enumerate(zip(study.values, points))
+        for name in STATE_NAMES[CALIBRATED]), notes)
