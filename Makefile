@@ -1,6 +1,6 @@
 # Everything a fresh machine needs: each target first makes .venv, with ROS 2 in it, from PyPI.
 
-.PHONY: help demo test lint clean
+.PHONY: help demo test lint clean browser
 .DEFAULT_GOAL := help
 
 # The ROS 2 in .venv must not meet one that the shell has sourced.
@@ -19,8 +19,16 @@ demo: .venv/installed
 	.venv/bin/starcal demo
 	@echo; ls -lR demo
 
-test: .venv/installed
+test: .venv/installed browser
 	.venv/bin/pytest test
+
+# A browser that the report is tested in; without one those tests are skipped.
+browser:
+	@command -v chromium >/dev/null || [ "$$(id -u)" != 0 ] || { \
+	    echo 'Installing chromium, to test the report in'; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
+	        apt-get install -y -qq chromium >/dev/null; } || \
+	    echo 'No chromium: the report is not tested in a browser' >&2
 
 lint: .venv/installed
 	.venv/bin/pytest test/test_style.py

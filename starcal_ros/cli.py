@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 
@@ -25,6 +26,7 @@ from starcal_ros.cdr import RecordError
 from starcal_ros.config import Scenario
 from starcal_ros.parameter import ConfigError
 from starcal_ros.demo import NodeError
+from starcal_ros.evaluation import published
 from starcal_ros.stream import Stream
 
 SAME = 1e-9
@@ -69,8 +71,8 @@ def _parser() -> argparse.ArgumentParser:
     demo = _command(commands, 'demo', _demo, 'simulate over ROS 2, record, calibrate',
                     'Start star tracker, gyro, estimator and recorder as separate ROS 2 '
                     'processes, run a shortened scenario faster than real time, record it, '
-                    'calibrate the recording again and compare. Leaves run.mcap, result.json '
-                    'and convergence.png.')
+                    'calibrate the recording again and compare. Leaves run.mcap, result.json, '
+                    'convergence.png and report.html.')
     demo.add_argument('--config', metavar='FILE', help=CONFIG_HELP)
     demo.add_argument('--out', metavar='FOLDER', default='demo',
                       help='where to put the results (default: %(default)s)')
@@ -102,6 +104,8 @@ def _parser() -> argparse.ArgumentParser:
                            help='result to write')
     calibrate.add_argument('--figure', metavar='PNG',
                            help='draw the convergence of the estimates')
+    calibrate.add_argument('--report', metavar='HTML',
+                           help='write the report: verdict, states, charts, on one page')
 
     play = _command(commands, 'play', _play, 'publish a recording again over ROS 2',
                     'Publish the sensor topics of a recording, as the node `player` does.')
@@ -109,6 +113,35 @@ def _parser() -> argparse.ArgumentParser:
     play.add_argument('--rate', metavar='N', type=float, default=1.0,
                       help='recorded seconds a second; 0 is as fast as the subscribers take it '
                       '(default: %(default)s)')
+
+    study = _command(commands, 'montecarlo', _montecarlo, 'run a scenario many times',
+                     'Simulate and estimate a scenario with many seeds and compare the errors '
+                     'with the covariance that the filter states and with the Cramér-Rao bound. '
+                     'A killed study goes on where it was when the same command is given again.')
+    study.add_argument('--config', metavar='FILE', help=CONFIG_HELP)
+    study.add_argument('--runs', metavar='N', type=int, default=100,
+                       help='runs, at each value of a sweep (default: %(default)s)')
+    study.add_argument('--sweep', metavar='KEY=V1,V2,…',
+                       help='a parameter and the values that it takes one after the other')
+    study.add_argument('--duration', metavar='S', type=float,
+                       help='simulated seconds, in place of simulation.duration_s')
+    study.add_argument('--out', metavar='SUMMARY.json', default='montecarlo.json',
+                       help='summary to write; all runs go into an .npz file beside it '
+                       '(default: %(default)s)')
+    study.add_argument('--dask', metavar='ADDRESS',
+                       help='scheduler of a Dask cluster to run on (needs the extra dask)')
+
+    again = _command(commands, 'reproduce', _reproduce, "compare with a paper's table",
+                     'Run what a table of Tan et al. 2018 was made from, and put its numbers '
+                     'beside ours and the Cramér-Rao bound.')
+    again.add_argument('table', choices=[*published.names(), 'all'], help='which table')
+    again.add_argument('--config', metavar='FILE', help=CONFIG_HELP)
+    again.add_argument('--runs', metavar='N', type=int, default=100,
+                       help='runs a column (default: %(default)s)')
+    again.add_argument('--duration', metavar='S', type=float,
+                       help='simulated seconds, in place of simulation.duration_s')
+    again.add_argument('--out', metavar='FILE.json', default='reproduce.json',
+                       help='the same numbers as JSON (default: %(default)s)')
 
     info = _command(commands, 'info', _info, 'tell what a recording holds',
                     'List the topics, types, counts and rates of a recording.')
@@ -150,27 +183,31 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _calibrate(options: argparse.Namespace) -> int:
     _calibrate_recording(options.bag, _scenario(options), Path(options.out),
-                         Path(options.figure) if options.figure else None)
+                         Path(options.figure) if options.figure else None,
+                         Path(options.report) if options.report else None)
     return 0
 
 
-def _calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None
-                         ) -> Stream:
+def _calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
+                         page: Path | None) -> Stream:
     """Calibrate a recording, write the result, print its table and return the final state."""
-    from starcal_ros import record, report, result
+    from starcal_ros import record, report, result, verdict
     from starcal_ros.calibration import predicted_centroid
 
-    for path in (out, figure):
+    for path in (out, figure, page):
         if path is not None:
             _require_writable(path)
     with _progress('reading') as on_progress:
         recording = record.read(bag, on_progress)
-    for text in _contradictions(recording.attachments.get(record.CONFIG_ATTACHMENT), scenario):
+    contradictions = list(_contradictions(
+        recording.attachments.get(record.CONFIG_ATTACHMENT), scenario))
+    for text in contradictions:
         _say(f'warning: {text}')
     with _progress('calibrating') as on_progress:
         stream, history = predicted_centroid.calibrate(
             recording.gyro, recording.frames, scenario, on_progress)
-    for text in (*recording.warnings, *stream.take_notices()):
+    notices = [*recording.warnings, *stream.take_notices()]
+    for text in notices:
         _say(f'warning: {text}')
     outcome = result.result(stream, {
         'version': starcal_ros.__version__, 'config_sha256': scenario.sha256,
@@ -180,8 +217,15 @@ def _calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure:
     truth = json.loads(attached) if attached else None
     _print(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     _print(report.summary(outcome))
+    assert stream.belief is not None        # or result.result has told
+    judged = verdict.judge(stream.filter, stream.belief, stream.tracking)
+    _print(f'Verdict: {judged.summary}')
     if figure is not None:
         report.figure(history, truth, figure)
+    if page is not None:
+        from starcal_ros.report.page import Calibration, write_page
+        write_page(page, Calibration(outcome, truth, history, judged, scenario,
+                                     contradictions + notices))
     return stream
 
 
@@ -245,12 +289,65 @@ def _demo(options: argparse.Namespace) -> int:
     with _progress('live run') as on_progress:
         recording = demo.run_live(scenario, folder, on_progress)
     stream = _calibrate_recording(recording, scenario, folder / demo.RESULT,
-                                  folder / demo.FIGURE)
+                                  folder / demo.FIGURE, folder / demo.REPORT)
     difference = demo.compare(recording, stream)
     _print(f'Live estimator and offline calibration differ by at most {difference:.1e} of the '
            'values.')
-    _print(f'In {folder}/: {demo.RECORDING}, {demo.RESULT}, {demo.FIGURE}')
+    _print(f'In {folder}/: {demo.RECORDING}, {demo.RESULT}, {demo.FIGURE}, {demo.REPORT}')
     return 0 if difference < SAME else 1
+
+
+def _montecarlo(options: argparse.Namespace) -> int:
+    from starcal_ros.evaluation import montecarlo
+    study = montecarlo.Study.of(_scenario(options, duration_s=options.duration), options.runs,
+                                options.sweep)
+    out = Path(options.out)
+    _require_writable(out)
+    parts = out.with_name(out.name + '.parts')
+    with _cluster(options.dask) as backend, _progress('running') as on_progress:
+        results = montecarlo.run(study, parts, backend=backend, on_progress=on_progress)
+    summary = montecarlo.finish(study, results, out, parts)
+    from starcal_ros import report
+    for point in summary.get('points', [summary]):
+        title = f'{study.key} = {point[study.key]}' if study.key else str(options.config or '')
+        _print(report.study(point, title))
+    return 0
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    scenario = _scenario(options, duration_s=options.duration)
+    out = Path(options.out)
+    _require_writable(out)
+    parts = out.with_name(out.name + '.parts')
+    outcomes = {}
+    for name in published.names() if options.table == 'all' else [options.table]:
+        with _progress(name) as on_progress:
+            outcomes[name] = published.load(name)(scenario, options.runs, parts, on_progress)
+    from starcal_ros import report
+    for outcome in outcomes.values():
+        _print(report.published(outcome))
+    out.write_text(json.dumps({name: outcome.as_dict() for name, outcome in outcomes.items()},
+                              indent=1, allow_nan=False) + '\n', encoding='utf-8')
+    shutil.rmtree(parts, ignore_errors=True)
+    return 0
+
+
+@contextmanager
+def _cluster(address: str | None) -> Iterator[str]:
+    """Connect to a Dask cluster where one is named; yield joblib's backend."""
+    if address is None:
+        yield 'loky'
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ConfigError("--dask: needs pip install 'starcal_ros[dask]'") from None
+    try:
+        client = Client(address, timeout=10)        # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise ConfigError(f'--dask: no scheduler answers at {address}: {error}') from None
+    with client:
+        yield 'dask'
 
 
 def _print(what: Table | str) -> None:

@@ -27,7 +27,8 @@ from starcal_ros.estimator import N_STATES
 from starcal_ros.record_writer import typestore
 from starcal_ros.stream import Stream
 
-RECORDING, RESULT, FIGURE, PARAMETERS = 'run.mcap', 'result.json', 'convergence.png', 'demo.yaml'
+RECORDING, RESULT, FIGURE, REPORT, PARAMETERS = (
+    'run.mcap', 'result.json', 'convergence.png', 'report.html', 'demo.yaml')
 _SIMULATORS = ('star_tracker_sim', 'gyro_sim')
 _END_S = 30.0           # time that a node may take to end
 
@@ -132,7 +133,7 @@ def _expect_end(name: str, process: subprocess.Popen[str]) -> None:
 def make_room(folder: Path) -> None:
     """Make the folder and remove what an earlier demo left in it."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (RECORDING, RESULT, FIGURE, PARAMETERS):
+    for name in (RECORDING, RESULT, FIGURE, REPORT, PARAMETERS):
         (folder / name).unlink(missing_ok=True)
 
 

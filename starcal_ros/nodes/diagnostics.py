@@ -8,16 +8,14 @@ import dataclasses
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-import numpy as np
 
-from starcal_ros.estimator import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT, Belief
+from starcal_ros import verdict
+from starcal_ros.estimator import PHI, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.stream import Stream
-
-_COUPLED = 0.95         # correlation above which two states can not be told apart
 
 
 def diagnostics(stream: Stream, now: Time, enabled: bool) -> DiagnosticArray:
-    """Return health, counts, convergence and the states that can not be told apart yet."""
+    """Return health, counts and the verdict on the calibration."""
     belief = stream.belief
     status = DiagnosticStatus(name='starcal: calibration', hardware_id='star_tracker')
     values = {name: str(value) for name, value in dataclasses.asdict(stream.counts).items()}
@@ -27,34 +25,25 @@ def diagnostics(stream: Stream, now: Time, enabled: bool) -> DiagnosticArray:
     elif belief is None:
         status.level, status.message = DiagnosticStatus.WARN, 'no attitude yet'
     else:
-        wide = _wide(stream, belief)
-        if not stream.tracking:
-            status.level, status.message = DiagnosticStatus.ERROR, 'most stars are refused'
-        elif wide:
-            status.level = DiagnosticStatus.OK
-            status.message = 'converging: ' + ', '.join(wide)
-        else:
-            status.level, status.message = DiagnosticStatus.OK, 'converged'
-        values['not_told_apart'] = ', '.join(_coupled(belief)) or 'none'
+        judged = verdict.judge(stream.filter, belief, stream.tracking)
+        status.level = DiagnosticStatus.OK if stream.tracking else DiagnosticStatus.ERROR
+        status.message = judged.summary
+        values['not_told_apart'] = '; '.join(
+            f'{", ".join(coupling.names)}: {verdict.advice(coupling.axis)}'
+            for coupling in judged.couplings) or 'none'
+        values['correlation_u0_psi_y'] = f'{judged.u0_psi_y:.4f}'
+        values['correlation_v0_psi_x'] = f'{judged.v0_psi_x:.4f}'
+        u, v = judged.equivalent_sigma_px
+        values['sigma_equivalent_principal_point_px'] = f'{u:.3g} {v:.3g}'
         u, v = stream.reprojection_rms_px
         values['reprojection_rms_px'] = f'{u:.4f} {v:.4f}'
-        for name, unit, sigma in zip(STATE_NAMES, STATE_UNITS, belief.sigma / UNIT):
+        for name, unit, sigma in zip(STATE_NAMES[PHI], STATE_UNITS[PHI],
+                                     belief.sigma[PHI] / UNIT[PHI]):
             values[f'sigma_{name}'] = f'{sigma:.3g} {unit}'
+        for state in judged.states:
+            values[f'sigma_{state.name}'] = (
+                f'{state.sigma:.3g} {state.unit}, tolerance {state.tolerance:.3g}')
     status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
     message = DiagnosticArray(status=[status])
     message.header.stamp = now
     return message
-
-
-def _wide(stream: Stream, belief: Belief) -> list[str]:
-    """Return the states whose sigma is still outside its tolerance."""
-    outside = belief.sigma[CALIBRATED] > stream.filter.tolerance
-    return [name for name, wide in zip(STATE_NAMES[CALIBRATED], outside) if wide]
-
-
-def _coupled(belief: Belief) -> list[str]:
-    """Return the pairs of states that are almost one."""
-    sigma = belief.sigma
-    correlation = belief.covariance / np.outer(sigma, sigma)
-    rows, columns = np.nonzero(np.abs(np.triu(correlation, 1)) > _COUPLED)
-    return [f'{STATE_NAMES[i]} and {STATE_NAMES[j]}' for i, j in zip(rows, columns)]

@@ -1,11 +1,10 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a person reads: the table of states and the figure of their convergence."""
+"""The calibrated states of a RESULT.json, against the truth where it is known."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from starcal_ros import rotation
 from starcal_ros.calibration.predicted_centroid import History
 from starcal_ros.camera import INTRINSICS_KEYS
 from starcal_ros.estimator import CALIBRATED, EPSILON, UNIT
-from starcal_ros.units import ARCSEC, NS
+from starcal_ros.units import ARCSEC
 
 Array = NDArray[np.float64]
 
@@ -24,9 +23,10 @@ LABELS = ('ε_x', 'ε_y', 'ε_z', 'Ψ_x', 'Ψ_y', 'Ψ_z', 'u0', 'v0', 'f', 'k1',
 _ANGLE = '°, ″'         # the value in degrees, its error and sigma in arcsec
 UNITS = ('°/h', '°/h', '°/h', _ANGLE, _ANGLE, _ANGLE, 'px', 'px', 'mm', 'mm⁻²', 'mm⁻⁴',
          'mm⁻¹', 'mm⁻¹')
+SIGMA_UNITS = tuple('″' if unit == _ANGLE else unit for unit in UNITS)
 T18_ERROR = (0.0007, 0.0002, 0.0003, 1.8, 3.3, 0.8, 0.0546, 0.0334, 2e-5, 4e-7, 7.37e-8, 4.1e-8,
              5.8e-8)
-"""Errors of T18's own simulation of two hours (Table 3), in UNITS."""
+"""Errors of T18's own simulation of two hours (Table 3), in SIGMA_UNITS."""
 
 
 class Row(NamedTuple):
@@ -38,6 +38,10 @@ class Row(NamedTuple):
     estimate: float
     error: float
     sigma: float
+
+    def places(self, value: float) -> str:
+        """Return truth or estimate to a tenth of sigma."""
+        return _number(value, self.sigma / 3600.0 if self.unit == _ANGLE else self.sigma)
 
 
 def rows(result: dict[str, Any], truth: dict[str, Any] | None) -> list[Row]:
@@ -75,11 +79,10 @@ def table(states: Sequence[Row], title: str) -> Table:
                        no_wrap=True)
     for row, paper in zip(states, T18_ERROR):
         cells = [row.label, row.unit]
-        place = row.sigma / 3600.0 if row.unit == _ANGLE else row.sigma
-        cells += [_number(row.truth, place)] if known else []
-        cells += [_number(row.estimate, place)]
-        cells += [f'{row.error:.2g}'] if known else []
-        cells += [f'{row.sigma:.2g}']
+        cells += [row.places(row.truth)] if known else []
+        cells += [row.places(row.estimate)]
+        cells += [short(row.error)] if known else []
+        cells += [short(row.sigma)]
         cells += [f'{row.error / row.sigma:+.2f}', f'{paper:.2g}'] if known else []
         out.add_row(*cells)
     return out
@@ -95,6 +98,11 @@ def summary(result: dict[str, Any]) -> str:
             + ('converged' if result['converged'] else 'not converged to the tolerances'))
 
 
+def short(value: float) -> str:
+    """Return a number to two digits, in full where it is longer than that."""
+    return f'{value:.0f}' if abs(value) >= 100.0 else f'{value:.2g}'
+
+
 def _number(value: float, sigma: float) -> str:
     """Return a value to a tenth of its sigma."""
     if not (np.isfinite(value) and sigma > 0.0):
@@ -106,45 +114,11 @@ def _number(value: float, sigma: float) -> str:
     return f'{value:.{max(-place, 0)}f}'
 
 
-def figure(history: History, truth: dict[str, Any] | None, path: str | Path) -> None:
-    """Draw the estimates as they converge, with their 3-sigma bounds, into a PNG file.
+def errors(history: History, truth: dict[str, Any] | None) -> Array:
+    """Return estimate minus truth, (n, 13), at each frame, in the unit of sigma.
 
-    With a truth the errors are drawn, without it the difference to the final estimate.
+    Without a truth it is the difference to the final estimate.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    minutes = (history.stamp_ns - history.stamp_ns[0]) * NS / 60.0
-    error = _errors(history, truth)
-    sigma = history.sigma[:, CALIBRATED] / UNIT[CALIBRATED]
-    canvas = Figure(figsize=(12.0, 13.0), layout='constrained')
-    FigureCanvasAgg(canvas)
-    axes = canvas.subplots(5, 3, sharex=True)
-    places = [*range(3), *range(3, 6), 6, 7, 8, 9, 10, 12, 13]
-    for axis, column in zip(axes.flat[places], range(13)):
-        axis.fill_between(minutes, -3.0 * sigma[:, column], 3.0 * sigma[:, column],
-                          color='#9ecae1', label='±3 sigma', linewidth=0)
-        axis.plot(minutes, error[:, column], color='#08306b', linewidth=0.9, label='error')
-        axis.axhline(0.0, color='black', linewidth=0.5)
-        settled = 3.0 * sigma[len(sigma) // 5, column]
-        axis.set_ylim(-1.6 * settled, 1.6 * settled)
-        unit = '″' if UNITS[column] == _ANGLE else UNITS[column]
-        axis.set_title(f'{LABELS[column]} [{unit}]', fontsize=10)
-        axis.ticklabel_format(axis='y', style='sci', scilimits=(-3, 3))
-        axis.grid(alpha=0.3)
-    for axis in (axes.flat[11], axes.flat[14]):
-        axis.set_axis_off()
-    for axis in (axes.flat[8], axes.flat[12], axes.flat[13]):
-        axis.set_xlabel('time [min]')
-        axis.tick_params(labelbottom=True)
-    axes.flat[0].legend(loc='upper right', fontsize=8)
-    against = 'truth' if truth is not None else 'final estimate'
-    canvas.suptitle(f'Estimate minus {against}, with 3-sigma bounds; axes scaled to the bound at '
-                    'one fifth of the run')
-    canvas.savefig(path, dpi=110)
-
-
-def _errors(history: History, truth: dict[str, Any] | None) -> Array:
     if truth is None:
         bias, C_sg, lens = history.bias[-1], history.C_sg[-1], history.intrinsics[-1]
     else:

@@ -1,0 +1,15 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a person reads of a calibration.
+
+`states` has the table of the calibrated states, `study` that of a Monte Carlo, `convergence` the
+figure as PNG. `page` puts everything on one page of HTML: `time_charts` are its charts over time,
+`detector_charts` those over the detector and of the residuals.
+"""
+
+from starcal_ros.report.convergence import figure
+from starcal_ros.report.published import published
+from starcal_ros.report.states import rows, summary, table
+from starcal_ros.report.study import study
+
+__all__ = ['figure', 'published', 'rows', 'study', 'summary', 'table']

@@ -1,0 +1,105 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The charts over time: convergence, equivalent principal point, consistency."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+import plotly.graph_objects as go
+from scipy.stats import chi2
+
+from starcal_ros.calibration.predicted_centroid import History
+from starcal_ros.estimator import CALIBRATED, STATE_NAMES, UNIT
+from starcal_ros.report.chart import BLUE, GREY, PALE, RED, Chart, chart
+from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
+from starcal_ros.units import NS
+
+Array = NDArray[np.float64]
+
+POINTS = 2000
+"""Points of a curve, at most."""
+CONFIDENCE = 0.95
+"""Of the band of the normalised innovation squared."""
+
+_TIME = 'time [min]'
+
+
+def convergence(history: History, truth: dict[str, Any] | None) -> list[Chart]:
+    """Return one chart a calibrated state: error and 3-sigma bound.
+
+    Without a truth the error is the difference to the final estimate.
+    """
+    error = errors(history, truth)
+    sigma = history.sigma[:, CALIBRATED] / UNIT[CALIBRATED]
+    return [_bounded(f'{label} [{unit}]', history, error[:, k], sigma[:, k])
+            for k, (label, unit) in enumerate(zip(LABELS, SIGMA_UNITS))]
+
+
+def equivalent_principal_point(history: History, truth: dict[str, Any] | None, pitch_mm: float
+                               ) -> list[Chart]:
+    """Return the charts of u0' and v0', Eq. (V.1) of `verdict`; T18 Fig. 9."""
+    error = dict(zip(STATE_NAMES[CALIBRATED], (errors(history, truth) * UNIT[CALIBRATED]).T))
+    scale = history.intrinsics[:, 2] / pitch_mm
+    pairs = (('u0′ = u0 − (f/d) Ψ_y [px]', error['u0'] - scale * error['psi_y']),
+             ('v0′ = v0 + (f/d) Ψ_x [px]', error['v0'] + scale * error['psi_x']))
+    return [_bounded(title, history, value, history.equivalent_sigma[:, k])
+            for k, (title, value) in enumerate(pairs)]
+
+
+def consistency(history: History) -> tuple[Chart, str]:
+    """Return the chart of the normalised innovation squared and what it says in words."""
+    seen = history.used > 0
+    freedom = 2 * history.used[seen]
+    ratio = history.nis[seen] / freedom
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low, high = (chi2.ppf(p, freedom) / freedom for p in (tail, 1.0 - tail))
+    inside = np.mean((ratio >= low) & (ratio <= high))
+    rows = thinned(len(ratio))
+    x = _single(minutes(history)[seen][rows])
+    stars = history.used[seen][rows]
+    return chart(
+        'Normalised innovation squared of a frame, over its degrees of freedom',
+        [*(go.Scatter(x=x, y=_single(bound[rows]), mode='lines', hoverinfo='skip',
+                      line={'color': GREY, 'width': 1}) for bound in (low, high)),
+         go.Scatter(x=x, y=_single(ratio[rows]), mode='markers', customdata=stars,
+                    marker={'color': BLUE, 'size': 3, 'opacity': 0.5},
+                    hovertemplate='%{x:.2f} min: %{y:.3f}, %{customdata} stars<extra></extra>')],
+        _TIME, '', wide=True, height=300), (
+        f'{inside:.1%} of the frames lie inside the {CONFIDENCE:.0%} band of chi-square, '
+        f'the mean is {ratio.mean():.3f}.')
+
+
+def minutes(history: History) -> Array:
+    """Return the time of each frame since the first [min]."""
+    return (history.stamp_ns - history.stamp_ns[0]) * NS / 60.0
+
+
+def thinned(n: int) -> NDArray[np.int64]:
+    """Return POINTS of the rows 0 to n - 1, evenly spread, or all of fewer."""
+    return np.unique(np.linspace(0, n - 1, min(n, POINTS)).round().astype(np.int64))
+
+
+def _bounded(title: str, history: History, error: Array, sigma: Array) -> Chart:
+    rows = thinned(len(error))
+    x, bound = _single(minutes(history)[rows]), _single(3.0 * sigma[rows])
+    # The first minutes would flatten all that follows.
+    settled = 1.6 * 3.0 * sigma[len(sigma) // 5]
+    edge = {'mode': 'lines', 'line': {'width': 0}, 'fillcolor': PALE}
+    return chart(
+        title,
+        [go.Scatter(x=x, y=-bound, hoverinfo='skip', **edge),
+         go.Scatter(x=x, y=bound, fill='tonexty', **edge, name='3 sigma',
+                    hovertemplate='%{y:.3g}'),
+         go.Scatter(x=x, y=_single(error[rows]), mode='lines', name='error',
+                    line={'color': BLUE, 'width': 1.2}, hovertemplate='%{y:.3g}'),
+         go.Scatter(x=x[[0, -1]], y=[0.0, 0.0], mode='lines', hoverinfo='skip',
+                    line={'color': RED, 'width': 0.7})],
+        _TIME, '', hovermode='x unified', yaxis_range=[-settled, settled], xaxis_hoverformat='.2f')
+
+
+def _single(values: Array) -> NDArray[np.float32]:
+    # Half the page; seven digits are more than a screen shows.
+    return values.astype(np.float32)
