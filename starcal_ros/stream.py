@@ -262,10 +262,12 @@ class Stream:
             belief, frame = start
             update = self.filter.update(belief, frame)
             self.belief = update.belief
-            self._account(update, np.isfinite(stars.sigma[rows]))
-            yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows], update.residual,
-                              update.chi2, update.accepted, frames.catalog_id[rows],
-                              float(update.nis), track)
+            placed = np.isfinite(stars.sigma[rows])
+            self._account(update, placed)
+            yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows],
+                              np.where(placed[:, None], update.residual, np.nan),
+                              np.where(placed, update.chi2, np.nan), update.accepted,
+                              frames.catalog_id[rows], float(update.nis), track)
         self._forget_gyro_before(self.stamp_ns)
 
     def _track(self, until_ns: int) -> Track:

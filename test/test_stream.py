@@ -600,3 +600,13 @@ def test_apparent_places_are_those_of_the_frames_own_stamp(run):
     assert np.abs(places[0] - places[1]).max() > 5e-5
     _, results = calibrated(later.gyro, later.frames)
     assert_right(later, results[-1])
+
+
+def test_star_without_a_place_has_no_residual(run):
+    """Not the difference to some other place: NaN, as its chi-square."""
+    number = run.frames.catalog_id.copy()
+    number[[3, 30]] = 0, 999_999
+    _, results = calibrated(run.gyro[:200], altered(run.frames, catalog_id=number)[:3])
+    nothing = np.concatenate([np.isnan(result.residual).all(axis=1) for result in results])
+    assert np.flatnonzero(nothing).tolist() == [3, 30]
+    assert np.isnan(np.concatenate([result.chi2 for result in results])[nothing]).all()
