@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from starcal_ros import camera
-from starcal_ros.estimator import LENS, SCALE, Belief, Filter, Stars
+from starcal_ros.estimator import LENS, Belief, Filter, Stars
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -33,7 +33,7 @@ MIN_STARS = 3
 _PAIRS = 500            # pairs that are tried, at most
 _ITERATIONS = 10
 _ROBUST_ITERATIONS = 30
-_CONVERGED = 0.01       # step, in units of SCALE, below which Gauss-Newton stops
+_CONVERGED = 0.01       # step, in units of the filter's scale, below which Gauss-Newton stops
 
 
 class AcquisitionError(ValueError):
@@ -144,7 +144,7 @@ def _resist(filter_: Filter, start: Belief, stars: Stars, trusted: Mask) -> Mask
         fitted = update.belief.estimate
         step = fitted.minus(belief.nominal)
         belief = Belief(fitted, fitted.minus(start.nominal), start.root)
-        if np.abs(step / SCALE).max() < 10.0 * _CONVERGED:
+        if np.abs(step / filter_.scale).max() < 10.0 * _CONVERGED:
             break
     uv, _, _ = filter_.predict_centroids(belief.nominal, stars.u_i)
     return trusted & (np.linalg.norm(uv - stars.uv, axis=-1) <= 6.0 * scale)
@@ -161,7 +161,7 @@ def _fit(filter_: Filter, start: Belief, stars: Stars, trusted: Mask) -> tuple[B
             step = fitted.minus(belief.nominal)
             # The error that the prior expects of the new linearisation point.
             belief = Belief(fitted, fitted.minus(start.nominal), start.root)
-            if np.abs(step / SCALE).max() < _CONVERGED:
+            if np.abs(step / filter_.scale).max() < _CONVERGED:
                 break
         misfit = np.linalg.norm(np.where(trusted[:, None], update.residual, 0.0), axis=-1)
         misfit = misfit / frame.sigma

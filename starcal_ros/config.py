@@ -159,6 +159,36 @@ class SigmaConfig:
     p2: Annotated[float, Spec('Distortion p2', 'mm^-1', _TINY, 1.0)]
 
 
+@dataclass(frozen=True)
+class ProcessNoiseConfig:
+    """How fast each kind of calibrated state walks at random; 0 is a state that stays."""
+
+    gyro_bias_deg_h_sqrt_h: Annotated[float, Spec(
+        'Random walk of the gyro bias', 'deg/h/sqrt(h)', 0.0, 1e6)] = 0.0
+    fixed_angles_arcsec_sqrt_h: Annotated[float, Spec(
+        'Random walk of the fixed angles', 'arcsec/sqrt(h)', 0.0, 1e6)] = 0.0
+    principal_point_px_sqrt_h: Annotated[float, Spec(
+        'Random walk of the principal point', 'px/sqrt(h)', 0.0, 1e4)] = 0.0
+    focal_length_mm_sqrt_h: Annotated[float, Spec(
+        'Random walk of the focal length', 'mm/sqrt(h)', 0.0, 1e4)] = 0.0
+    k1_sqrt_h: Annotated[float, Spec('Random walk of k1', 'mm^-2/sqrt(h)', 0.0, 1.0)] = 0.0
+    k2_sqrt_h: Annotated[float, Spec('Random walk of k2', 'mm^-4/sqrt(h)', 0.0, 1.0)] = 0.0
+    p1_sqrt_h: Annotated[float, Spec('Random walk of p1', 'mm^-1/sqrt(h)', 0.0, 1.0)] = 0.0
+    p2_sqrt_h: Annotated[float, Spec('Random walk of p2', 'mm^-1/sqrt(h)', 0.0, 1.0)] = 0.0
+
+
+@dataclass(frozen=True)
+class AugmentConfig:
+    """States appended to the 16; what is left out is taken as zero and not estimated."""
+
+    gyro_matrix_sigma_ppm: Annotated[float | None, Spec(
+        'Initial sigma of each element of M, the scale factors (diagonal) and misalignments of '
+        'the gyros: they read (I + M) omega + bias', 'ppm', _TINY, 1e4)] = None
+    time_offset_sigma_s: Annotated[float | None, Spec(
+        'Initial sigma of tau, the time offset of the star tracker: a frame stamped t shows the '
+        'sky of t + tau', 's', _TINY, 1.0)] = None
+
+
 def _initial_sigma() -> SigmaConfig:
     return SigmaConfig(gyro_bias_deg_h=0.1, fixed_angles_arcsec=600.0, principal_point_px=20.0,
                        focal_length_mm=0.2, k1=1e-3, k2=1e-5, p1=1e-4, p2=1e-4)
@@ -175,6 +205,8 @@ class EstimatorConfig:
 
     initial_sigma: SigmaConfig = field(default_factory=_initial_sigma)
     tolerance: SigmaConfig = field(default_factory=_tolerance)
+    process_noise: ProcessNoiseConfig = field(default_factory=ProcessNoiseConfig)
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
     feedback: Annotated[bool, Spec(
         'Correct the nominal values after each frame; false is the open-loop filter of the '
         'paper')] = True

@@ -38,21 +38,24 @@ With feedback the nominal values are corrected after each frame and the expected
 zero, so the linear model stays valid from large initial errors; without it the filter is the
 paper's open-loop one: the nominal values stay and the expected error grows.
 
+States may also walk at random, as `process_noise` says, and those of `augmentation` may follow the
+16; both are off by default.
+
 Inside the filter each state is divided by its `SCALE`, so that the roots hold numbers of like
 size. Every function takes leading batch axes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from starcal_ros import camera, kalman, rotation
-from starcal_ros.config import Scenario, SigmaConfig
+from starcal_ros import augmentation, camera, kalman, process_noise, rotation
+from starcal_ros.config import ProcessNoiseConfig, Scenario, SigmaConfig
 from starcal_ros.preintegration import Preintegrated
 from starcal_ros.scenario import detector, intrinsics, mounting_matrix
 from starcal_ros.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
@@ -63,6 +66,7 @@ Mask = NDArray[np.bool_]
 PHI, EPSILON, PSI, LENS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 16)
 THETA = PHI                                     # the same three places inside the filter
 N_STATES = 16
+MATRIX, AUGMENTED = slice(16, 25), slice(16, None)      # where they are on
 CALIBRATED = slice(3, 16)                       # all but the attitude
 STATE_NAMES = ('phi_x', 'phi_y', 'phi_z', 'epsilon_x', 'epsilon_y', 'epsilon_z',
                'psi_x', 'psi_y', 'psi_z', *camera.INTRINSICS)
@@ -74,7 +78,9 @@ SCALE = np.array([*(1e-5,) * 3, *(1e-8,) * 3, *(1e-5,) * 3, 0.1, 0.1, 1e-4, 1e-6
                   1e-6])
 
 _FIELD = 1.5            # a star may be predicted this far out, in half diagonals
-_RESCALE = SCALE / SCALE[:, None]
+_SCALES = np.append(SCALE, augmentation.SCALE)
+_RESCALE = _SCALES / _SCALES[:, None]
+_KINDS = (3, 3, 2, 1, 1, 1, 1, 1)       # calibrated states of each kind that a SigmaConfig has
 
 SIGMA_ACQUIRED = 1.0 * DEG
 """Attitude sigma given to a first fix: wide against its error, so that the frame's own update,
@@ -95,12 +101,18 @@ class Nominal:
         Mounting, g to s.
     intrinsics : (..., 7) array
         Camera, as in `starcal_ros.camera`.
+    augmented : (..., m) array
+        What `augmentation` adds to these, if anything.
+    reading : (..., 3) array
+        The gyro's reading at the stamp, for the time offset [rad/s].
     """
 
     C_gi: Array
     bias: Array
     C_sg: Array
     intrinsics: Array
+    augmented: Array = field(default_factory=lambda: np.empty(0))
+    reading: Array = field(default_factory=lambda: np.zeros(3))
 
     @property
     def C_si(self) -> Array:
@@ -108,20 +120,23 @@ class Nominal:
         return self.C_sg @ self.C_gi
 
     def without(self, error: Array) -> Nominal:
-        """Return the values freed of an error (..., 16), its attitude part theta."""
+        """Return the values freed of an error (..., 16 + m), its attitude part theta."""
         turn = rotation.exp(-np.stack((error[..., THETA], error[..., PSI])))
         C_sg = rotation.orthonormalized(turn[1] @ self.C_sg)
         C_gi = rotation.orthonormalized(np.swapaxes(C_sg, -1, -2) @ turn[0] @ self.C_si)
         return Nominal(C_gi, self.bias - error[..., EPSILON], C_sg,
-                       self.intrinsics - error[..., LENS])
+                       self.intrinsics - error[..., LENS],
+                       augmentation.freed(self.augmented, error[..., AUGMENTED], self.C_sg),
+                       self.reading)
 
     def minus(self, truth: Nominal) -> Array:
-        """Return the error (..., 16) of these values, its attitude part theta."""
+        """Return the error (..., 16 + m) of these values, its attitude part theta."""
         return np.concatenate((
             rotation.log(self.C_si @ np.swapaxes(truth.C_si, -1, -2)),
             self.bias - truth.bias,
             rotation.log(self.C_sg @ np.swapaxes(truth.C_sg, -1, -2)),
-            self.intrinsics - truth.intrinsics), axis=-1)
+            self.intrinsics - truth.intrinsics,
+            augmentation.error(self.augmented, truth.augmented, self.C_sg)), axis=-1)
 
 
 @dataclass(frozen=True)
@@ -132,9 +147,9 @@ class Belief:
     ----------
     nominal : Nominal
         Values.
-    error : (..., 16) array
-        Expected error of the nominal values, its attitude part theta; zero with feedback.
-    root : (..., 16, 16) array
+    error : (..., n) array
+        Expected error of the n = 16 + m values, its attitude part theta; zero with feedback.
+    root : (..., n, n) array
         Root of the error covariance, each state in units of SCALE, the attitude part theta.
     """
 
@@ -148,12 +163,20 @@ class Belief:
         return self.nominal.without(self.error) if self.error.any() else self.nominal
 
     @property
-    def state_root(self) -> Array:
-        """Root of the covariance of T18's states, (..., 16, 16), in the filter's units."""
-        root = self.root * SCALE[:, None]
+    def whole_root(self) -> Array:
+        """Root of the covariance, (..., n, n), in the filter's units, the attitude part phi."""
+        root = self.root * _SCALES[:self.root.shape[-1], None]
         C_is = np.swapaxes(self.nominal.C_si, -1, -2)
         root[..., PHI, :] = C_is @ (root[..., THETA, :] - root[..., PSI, :])
+        if root.shape[-1] > N_STATES:
+            root[..., AUGMENTED, :] = augmentation.outer(
+                root[..., AUGMENTED, :], self.nominal.augmented, self.nominal.C_sg)
         return root
+
+    @property
+    def state_root(self) -> Array:
+        """Root of the covariance of T18's states, (..., 16, 16), in the filter's units."""
+        return kalman.marginal(self.whole_root, N_STATES)
 
     @property
     def covariance(self) -> Array:
@@ -168,14 +191,19 @@ class Belief:
         return np.sqrt(np.einsum('...ij,...ij->...i', root, root))
 
     @property
+    def augmented_sigma(self) -> Array:
+        """Standard deviation of the augmented states, (..., m), in the filter's units."""
+        return np.linalg.norm(self.whole_root[..., AUGMENTED, :], axis=-1)
+
+    @property
     def tracker_sigma(self) -> Array:
         """Standard deviation of theta, (..., 3): the attitude of the star tracker [rad]."""
         return SCALE[THETA] * np.linalg.norm(self.root[..., THETA, :], axis=-1)
 
     def nees(self, truth: Nominal) -> Array:
-        """Return the normalised estimation error squared, (...), of 16 degrees of freedom."""
-        error = (self.estimate.minus(truth) / SCALE)[..., None]
-        return np.sum(np.linalg.solve(self.root, error)**2, axis=(-2, -1))
+        """Return the normalised estimation error squared, (...), of n degrees of freedom."""
+        error = self.estimate.minus(truth) / _SCALES[:self.root.shape[-1]]
+        return np.sum(np.linalg.solve(self.root, error[..., None])**2, axis=(-2, -1))
 
 
 class Stars(NamedTuple):
@@ -230,30 +258,34 @@ class Filter:
         self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
         self.gate = float(chi2.ppf(options.gate_probability, 2))
         self.feedback = options.feedback
+        augmented = augmentation.initial_sigma(options.augment)
         self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
-                             mounting_matrix(scenario.mounting), intrinsics(scenario.camera))
-        self.initial_sigma = np.concatenate((np.full(3, SIGMA_ACQUIRED),
-                                             _sigma_vector(options.initial_sigma)))
-        self.tolerance = _sigma_vector(options.tolerance)
+                             mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
+                             np.zeros_like(augmented))
+        self.initial_sigma = np.concatenate((
+            np.full(3, SIGMA_ACQUIRED), _vector(options.initial_sigma), augmented))
+        self.tolerance = _vector(options.tolerance)
+        self.density = _vector(options.process_noise) / 60.0        # of the walks, per sqrt(s)
+        self.has_matrix = augmentation.has_matrix(len(augmented))
+        self.scale = _SCALES[:len(self.initial_sigma)]
         half = 0.5 * np.hypot(self.detector.width, self.detector.height) * self.detector.pitch_mm
         self._cos_field = float(np.cos(np.arctan(_FIELD * half / scenario.camera.focal_length_mm)))
 
     def begin(self, C_gi: Array) -> Belief:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
-        batch = C_gi.shape[:-2]
-        root = np.broadcast_to(np.diag(self.initial_sigma / SCALE), (*batch, N_STATES, N_STATES))
-        start = self.start
+        batch, n, start = C_gi.shape[:-2], len(self.scale), self.start
+        root = np.broadcast_to(np.diag(self.initial_sigma / self.scale), (*batch, n, n))
         nominal = Nominal(C_gi, *(
             np.broadcast_to(part, (*batch, *part.shape))
-            for part in (start.bias, start.C_sg, start.intrinsics)))
-        return Belief(nominal, np.zeros((*batch, N_STATES)), root)
+            for part in (start.bias, start.C_sg, start.intrinsics, start.augmented)))
+        return Belief(nominal, np.zeros((*batch, n)), root)
 
     def reacquired(self, belief: Belief, C_gi: Array) -> Belief:
         """Return the belief with its attitude found afresh, the calibration kept."""
         estimate = belief.estimate
-        known = np.swapaxes(belief.root[..., CALIBRATED, :], -1, -2)
+        known = np.swapaxes(belief.root[..., 3:, :], -1, -2)
         root = np.zeros_like(belief.root)
-        root[..., CALIBRATED, CALIBRATED] = np.swapaxes(np.linalg.qr(known, mode='r'), -1, -2)
+        root[..., 3:, 3:] = np.swapaxes(np.linalg.qr(known, mode='r'), -1, -2)
         root[..., THETA, THETA] = np.eye(3) * (SIGMA_ACQUIRED / SCALE[THETA])
         return Belief(replace(estimate, C_gi=C_gi), np.zeros_like(belief.error), root)
 
@@ -265,27 +297,32 @@ class Filter:
         belief : Belief
             At the beginning of the interval.
         gyro : Preintegrated
-            For the bias ``start.bias``.
+            For the bias ``start.bias``, with the derivative by M where it is a state.
         """
-        nominal = belief.nominal
-        batch = nominal.bias.shape[:-1]
-        correction = (gyro.J @ (nominal.bias - self.start.bias)[..., None])[..., 0]
-        Delta = gyro.Delta @ rotation.exp(correction)
+        nominal, batch, n = belief.nominal, belief.error.shape[:-1], belief.error.shape[-1]
+        turn, J = augmentation.relinearized(
+            gyro.J, nominal.bias - self.start.bias, nominal.augmented, nominal.C_sg)
+        Delta = gyro.Delta @ rotation.exp(turn)
         C_gi = rotation.orthonormalized(Delta @ nominal.C_gi)
         C_s1g0 = nominal.C_sg @ Delta
         C_s1s0 = C_s1g0 @ np.swapaxes(nominal.C_sg, -1, -2)
-        Phi = np.zeros((*batch, N_STATES, N_STATES))
-        Phi[..., range(N_STATES), range(N_STATES)] = 1.0
+        Phi = np.zeros((*batch, n, n))
+        Phi[..., range(n), range(n)] = 1.0
         Phi[..., THETA, THETA] = C_s1s0
         Phi[..., THETA, PSI] = np.eye(3) - C_s1s0
-        Phi[..., THETA, EPSILON] = C_s1g0 @ gyro.J
+        Phi[..., THETA, EPSILON] = B = C_s1g0 @ J[..., :3]
+        if augmentation.has_matrix(n - N_STATES):
+            Phi[..., THETA, MATRIX] = C_s1g0 @ J[..., 3:]
         error = (Phi @ belief.error[..., None])[..., 0]
         sigma = np.sqrt(self.walk**2 * gyro.duration
                         + (self.gap_acceleration * gyro.gap_turn)**2)
-        Q_root = np.zeros((*batch, N_STATES, 3))
+        Q_root = np.zeros((*batch, n, 3))
         Q_root[..., range(3), range(3)] = (sigma / SCALE[0])[..., None]
-        root = kalman.predict(belief.root, Phi * _RESCALE, Q_root)
-        return Belief(replace(nominal, C_gi=C_gi), error, root)
+        if self.density.any():
+            Q_root = np.concatenate((Q_root, process_noise.root(
+                self.density, B, gyro.duration, n) / _SCALES[:n, None]), axis=-1)
+        root = kalman.predict(belief.root, Phi * _RESCALE[:n, :n], Q_root)
+        return Belief(replace(nominal, C_gi=C_gi, reading=gyro.reading), error, root)
 
     def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
         """Return the predicted centroids and their derivatives by the states (T18 Eq. 24).
@@ -301,20 +338,28 @@ class Filter:
         -------
         uv : (..., n, 2) array
             Predicted centroids [px].
-        H : (..., n, 2, 16) array
+        H : (..., n, 2, 16 + m) array
             d uv / d error, its attitude part theta.
         in_view : (..., n) bool array
             False for a star that lies well outside the field of view; its row means nothing.
         """
-        r_s = u_i @ np.swapaxes(nominal.C_si, -1, -2)
+        C_si, m = nominal.C_si, nominal.augmented.shape[-1]
+        if augmentation.has_offset(m):
+            rate_s, shift = augmentation.shift(
+                nominal.augmented, nominal.C_sg, nominal.reading - nominal.bias)
+            C_si = shift @ C_si
+        r_s = u_i @ np.swapaxes(C_si, -1, -2)
         # Far outside the field the distortion means nothing, and its uncertainty everything.
         in_view = r_s[..., 2] > self._cos_field * np.sqrt(np.sum(r_s * r_s, axis=-1))
         if not in_view.all():
             r_s = np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0))
         uv, H_s, H_intrinsics = camera.linearize(r_s, nominal.intrinsics, self.detector.pitch_mm)
-        H = np.zeros((*H_s.shape[:-1], N_STATES))
+        H = np.zeros((*H_s.shape[:-1], N_STATES + m))
         H[..., THETA] = H_s
         H[..., LENS] = H_intrinsics
+        if augmentation.has_offset(m):
+            H[..., THETA] = H_s @ shift[..., None, :, :]
+            H[..., -1] = -_apply(H_s, rate_s)
         return uv, H, in_view
 
     def update(self, belief: Belief, stars: Stars, gated: bool = True) -> Update:
@@ -330,13 +375,13 @@ class Filter:
             Refuse stars whose chi-square lies outside the gate.
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
-        z = uv - stars.uv
-        innovation = kalman.innovate(belief.root, H * SCALE, z - _apply(H, belief.error),
+        z, scale = uv - stars.uv, _SCALES[:H.shape[-1]]
+        innovation = kalman.innovate(belief.root, H * scale, z - _apply(H, belief.error),
                                      stars.sigma)
         usable = in_view & np.isfinite(stars.sigma)
         accepted = usable & (innovation.chi2 <= self.gate) if gated else usable
         step, root, nis = kalman.correct(belief.root, innovation, accepted)
-        error = belief.error + SCALE * step
+        error = belief.error + scale * step
         residual = _apply(H, error) - z
         nominal = belief.nominal
         if self.feedback:
@@ -345,13 +390,10 @@ class Filter:
 
 
 def _apply(H: Array, x: Array) -> Array:
-    """Return H x, (..., n, 2), of H (..., n, 2, 16) and x (..., 16)."""
+    """Return H x, (..., n, 2), of H (..., n, 2, k) and x (..., k)."""
     return (H @ x[..., None, :, None])[..., 0]
 
 
-def _sigma_vector(config: SigmaConfig) -> Array:
-    """Return the sigmas of the 13 calibrated states, in the filter's units."""
-    return np.array([*(config.gyro_bias_deg_h * DEG_PER_HOUR,) * 3,
-                     *(config.fixed_angles_arcsec * ARCSEC,) * 3,
-                     *(config.principal_point_px,) * 2, config.focal_length_mm,
-                     config.k1, config.k2, config.p1, config.p2])
+def _vector(config: SigmaConfig | ProcessNoiseConfig) -> Array:
+    """Return the numbers for the 13 calibrated states, in the filter's units."""
+    return np.repeat(astuple(config), _KINDS) * UNIT[CALIBRATED]

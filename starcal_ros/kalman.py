@@ -62,6 +62,14 @@ def predict(root: Array, Phi: Array, Q_root: Array) -> Array:
     return np.swapaxes(triangle, -1, -2)
 
 
+def marginal(root: Array, k: int) -> Array:
+    """Return a root, (..., k, k), of the covariance of the first k of n states."""
+    if root.shape[-1] == k:
+        return root
+    triangle = np.linalg.qr(np.swapaxes(root[..., :k, :], -1, -2), mode='r')
+    return np.swapaxes(triangle, -1, -2)
+
+
 def innovate(root: Array, H: Array, z: Array, sigma: Array) -> Innovation:
     """Whiten measurements and compute the chi-square of each pair.
 

@@ -12,6 +12,9 @@ of constant rate between two frames ::
     Delta  (3, 3)  1   rotation of g over the interval
     J      (3, 3)  s   its derivative by the bias
 
+Of a gyro ``omega_m = (I + M) omega + b`` J has nine more columns, the derivative by M at M = 0,
+row by row: of one piece ``J_r dt (I kron omega')``, where that by the bias is ``J_r dt``.
+
 Two neighbouring intervals compose as ``Delta_B Delta_A`` and ``J_A + Delta_A' J_B``, which is
 associative: the pieces are paired up in a tree, all frames at once.
 
@@ -35,7 +38,7 @@ from starcal_ros.units import NS
 Array = NDArray[np.float64]
 
 GAP = 1.5               # sampling intervals without a reading that count as a silence
-_BATCH = 1000           # intervals composed at once; bounds the memory to some 20 MB
+_BATCH = 1000           # intervals composed at once; bounds the memory to some 20 MB, with M 40 MB
 
 
 class Preintegrated(NamedTuple):
@@ -45,18 +48,22 @@ class Preintegrated(NamedTuple):
     ----------
     Delta : (..., 3, 3) array
         ``C_gi(t1) = Delta @ C_gi(t0)`` for the reference bias.
-    J : (..., 3, 3) array
-        Derivative by the bias, Eq. (P.1) [s].
+    J : (..., 3, 3) or (..., 3, 12) array
+        Derivative by the bias, Eq. (P.1) [s], and by M where asked for.
     duration : (...) array
         Length of the interval [s].
     gap_turn : (...) array
         Turn that a silence may hide, for an angular acceleration of 1 rad/s^2 [s^2].
+    reading : (..., 3) array
+        The gyro's reading at the end of the interval, bias included [rad/s]; only a time offset
+        needs it.
     """
 
     Delta: Array
     J: Array
     duration: Array
     gap_turn: Array
+    reading: Array = np.zeros(3)
 
 
 class Pieces(NamedTuple):
@@ -113,8 +120,8 @@ def cut(gyro: GyroSamples, cuts_ns: NDArray[np.int64], period_ns: float) -> Piec
     return Pieces(end, (end - start) * NS, rate, gap_turn)
 
 
-def preintegrate(gyro: GyroSamples, cuts_ns: NDArray[np.int64], bias: Array, period_ns: float
-                 ) -> Preintegrated:
+def preintegrate(gyro: GyroSamples, cuts_ns: NDArray[np.int64], bias: Array, period_ns: float,
+                 with_matrix: bool = False) -> Preintegrated:
     """Compose the readings between neighbouring stamps.
 
     Parameters
@@ -127,6 +134,8 @@ def preintegrate(gyro: GyroSamples, cuts_ns: NDArray[np.int64], bias: Array, per
         Reference bias [rad/s].
     period_ns : float
         Nominal sampling interval [ns].
+    with_matrix : bool
+        Give the derivative by M too.
 
     Returns
     -------
@@ -138,25 +147,29 @@ def preintegrate(gyro: GyroSamples, cuts_ns: NDArray[np.int64], bias: Array, per
     interval = np.searchsorted(cuts_ns, pieces.end_ns) - 1
     first = np.searchsorted(interval, np.arange(n + 1))
     theta = (pieces.rate - bias) * pieces.dt[:, None]
-    Delta, J = np.empty((n, 3, 3)), np.empty((n, 3, 3))
+    Delta, J = np.empty((n, 3, 3)), np.empty((n, 3, 12 if with_matrix else 3))
     for low in range(0, n, _BATCH):
         high = min(low + _BATCH, n)
         rows = slice(first[low], first[high])
         Delta[low:high], J[low:high] = _compose(
             theta[rows], pieces.dt[rows], interval[rows] - low,
-            np.arange(first[low], first[high]) - first[interval[rows]], high - low)
+            np.arange(first[low], first[high]) - first[interval[rows]], high - low, with_matrix)
     return Preintegrated(Delta, J, np.diff(cuts_ns) * NS,
-                         np.bincount(interval, pieces.gap_turn, n).astype(np.float64))
+                         np.bincount(interval, pieces.gap_turn, n).astype(np.float64),
+                         gyro.rate[np.searchsorted(gyro.stamp_ns, cuts_ns[1:])])
 
 
 def _compose(theta: Array, dt: Array, interval: NDArray[np.int64], rank: NDArray[np.int64],
-             n: int) -> tuple[Array, Array]:
-    """Compose pieces, each the `rank`-th of its interval, into (n, 3, 3) Delta and J."""
+             n: int, with_matrix: bool) -> tuple[Array, Array]:
+    """Compose pieces, each the `rank`-th of its interval, into n Delta and J."""
     width = 1 << int(rank.max(initial=0)).bit_length()
     Delta = np.broadcast_to(np.eye(3), (n, width, 3, 3)).copy()
-    J = np.zeros((n, width, 3, 3))
+    J = np.zeros((n, width, 3, 12 if with_matrix else 3))
+    J_r = rotation.right_jacobian(-theta)
     Delta[interval, rank] = rotation.exp(-theta)
-    J[interval, rank] = dt[:, None, None] * rotation.right_jacobian(-theta)
+    J[interval, rank, :, :3] = dt[:, None, None] * J_r
+    if with_matrix:
+        J[interval, rank, :, 3:] = (J_r[..., None] * theta[:, None, None]).reshape(-1, 3, 9)
     while width > 1:
         first, second = Delta[:, ::2], Delta[:, 1::2]
         J = J[:, ::2] + np.swapaxes(first, -1, -2) @ J[:, 1::2]
@@ -165,10 +178,13 @@ def _compose(theta: Array, dt: Array, interval: NDArray[np.int64], rank: NDArray
     return Delta[:, 0], J[:, 0]
 
 
-def track(C_gi: Array, pieces: Pieces, bias: Array) -> Array:
-    """Return C_gi, (n, 3, 3), at the end of each piece, from C_gi (3, 3) at the beginning."""
+def track(C_gi: Array, pieces: Pieces, bias: Array, gain: Array = np.eye(3)) -> Array:
+    """Return C_gi, (n, 3, 3), at the end of each piece, from C_gi (3, 3) at the beginning.
+
+    The rate of g is ``gain @ (reading - bias)``.
+    """
     attitude = np.empty((len(pieces.dt), 3, 3))
-    steps = rotation.exp(-(pieces.rate - bias) * pieces.dt[:, None])
+    steps = rotation.exp(-(pieces.rate - bias) @ gain.T * pieces.dt[:, None])
     for k, step in enumerate(steps):
         C_gi = attitude[k] = step @ C_gi
     return attitude

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros import rotation
+from starcal_ros import augmentation, rotation
 from starcal_ros.camera import INTRINSICS_KEYS
 from starcal_ros.estimator import CALIBRATED, EPSILON, LENS, PSI, UNIT, Belief
 from starcal_ros.stream import Stream
@@ -41,7 +41,8 @@ def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
     dict
         ``covariance`` is that of the 16 states of `estimator` in its units: rad, rad/s, rad, px,
         px, mm, mm^-2, mm^-4, mm^-1, mm^-1. ``attitude_final`` is the integrated attitude at the
-        last gyro sample.
+        last gyro sample. ``augmented`` is there where states of `augmentation` are on: their
+        names, each with its unit, estimates and sigmas.
 
     Raises
     ------
@@ -54,7 +55,7 @@ def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
     estimate, sigma = belief.estimate, belief.sigma / UNIT
     stamp_ns, C_gi = stream.attitude_now()
     counts = stream.counts
-    return {
+    values = {
         'intrinsics': _named(estimate.intrinsics),
         'intrinsics_sigma': _named(sigma[LENS]),
         'gyro_bias_deg_h': (estimate.bias / UNIT[EPSILON]).tolist(),
@@ -74,6 +75,13 @@ def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
         'counts': dataclasses.asdict(counts),
         'provenance': provenance,
     }
+    m = estimate.augmented.shape[-1]
+    if m:
+        units = augmentation.units(m)
+        values['augmented'] = {'names': list(augmentation.names(m)),
+                               'estimates': (estimate.augmented / units).tolist(),
+                               'sigmas': (belief.augmented_sigma / units).tolist()}
+    return values
 
 
 def no_attitude(stream: Stream) -> str:

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import catalog, preintegration, sky
+from starcal_ros import augmentation, catalog, preintegration, sky
 from starcal_ros.acquisition import AcquisitionError, acquire
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Stars, Update
@@ -229,7 +229,8 @@ class Stream:
             return self.stamp_ns, estimate.C_gi
         pieces = preintegration.cut(
             self._gyro, np.array([self.stamp_ns, last]), self._period_ns)
-        return last, preintegration.track(estimate.C_gi, pieces, estimate.bias)[-1]
+        gain = augmentation.gain(estimate.augmented)
+        return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
 
     @property
     def reprojection_rms_px(self) -> Array:
@@ -244,7 +245,7 @@ class Stream:
         begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
         cuts = np.concatenate(([begin], frames.stamp_ns))
         gyro = preintegration.preintegrate(
-            self._gyro, cuts, self.filter.start.bias, self._period_ns)
+            self._gyro, cuts, self.filter.start.bias, self._period_ns, self.filter.has_matrix)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             rows = slice(frames.first[k], frames.first[k + 1])
             frame = Stars(*(part[rows] for part in stars))
@@ -256,7 +257,7 @@ class Stream:
             self.stamp_ns = stamp_ns
             self.counts.frames += 1
             self.counts.empty_frames += not np.isfinite(frame.sigma).any()
-            start = self._with_attitude(belief, frame)
+            start = self._with_attitude(belief, frame, gyro.reading[k])
             if start is None:
                 continue
             belief, frame = start
@@ -303,7 +304,8 @@ class Stream:
             np.bincount(frame[usable], minlength=len(frames)), self._observer)
         return Stars(u_i, np.where(usable[:, None], uv, 0.0), np.where(usable, sigma, np.inf))
 
-    def _with_attitude(self, belief: Belief | None, frame: Stars) -> tuple[Belief, Stars] | None:
+    def _with_attitude(self, belief: Belief | None, frame: Stars, reading: Array
+                       ) -> tuple[Belief, Stars] | None:
         """Return a belief that a frame may correct, its attitude found afresh where it is lost."""
         lost = belief is None or self._refused_in_a_row >= self._patience or bool(
             (belief.tracker_sigma > SIGMA_ACQUIRED).any())
@@ -318,7 +320,8 @@ class Stream:
         self._refused_in_a_row = 0
         if belief is not None and self.counts.acquisitions <= _NAMED:
             self._notices.append(f'attitude lost, found again at {self.stamp_ns} ns')
-        return found
+        found_belief, frame = found
+        return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
 
     def _account(self, update: Update, usable: NDArray[np.bool_]) -> None:
         used = int(update.accepted.sum())

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import preintegration
-from starcal_ros.estimator import EPSILON, PHI, Belief, Filter
+from starcal_ros import augmentation, preintegration
+from starcal_ros.estimator import EPSILON, MATRIX, PHI, Belief, Filter
 from starcal_ros.measurements import GyroSamples
 from starcal_ros.units import NS
 
@@ -51,6 +51,7 @@ class _Reached(NamedTuple):
     stamp_ns: int
     C_gi: Array
     gap_turn: float
+    turn: Array
 
 
 class Tracker:
@@ -79,7 +80,7 @@ class Tracker:
         estimate = belief.estimate
         reached = self._reached
         if reached is None or reached.frame_ns != frame_ns:
-            reached = _Reached(frame_ns, frame_ns, estimate.C_gi, 0.0)
+            reached = _Reached(frame_ns, frame_ns, estimate.C_gi, 0.0, np.zeros(3))
         first, last = np.searchsorted(
             gyro.stamp_ns, [max(frame_ns, self._given_ns + 1), until_ns]).tolist()
         samples = gyro[first:last]
@@ -88,18 +89,24 @@ class Tracker:
         self._given_ns = int(samples.stamp_ns[-1])
         pieces = preintegration.cut(
             gyro, np.array([reached.stamp_ns, self._given_ns]), self._period_ns)
-        C_gi = preintegration.track(reached.C_gi, pieces, estimate.bias)
+        gain = augmentation.gain(estimate.augmented)
+        C_gi = preintegration.track(reached.C_gi, pieces, estimate.bias, gain)
         # A sample at the stamp from which the integration goes on is there without a step.
         ends = np.concatenate(([reached.stamp_ns], pieces.end_ns))
         C_gi = np.concatenate((reached.C_gi[None], C_gi))
         gap_turn = reached.gap_turn + np.concatenate(([0.0], np.cumsum(pieces.gap_turn)))
-        self._reached = _Reached(frame_ns, self._given_ns, C_gi[-1], float(gap_turn[-1]))
+        turns = (pieces.rate - estimate.bias) @ gain.T * pieces.dt[:, None]
+        turn = reached.turn + np.concatenate((np.zeros((1, 3)), np.cumsum(turns, axis=0)))
+        self._reached = _Reached(frame_ns, self._given_ns, C_gi[-1], float(gap_turn[-1]), turn[-1])
         rows = np.searchsorted(ends, samples.stamp_ns)
         elapsed = (samples.stamp_ns - frame_ns)[:, None, None] * NS
-        root = belief.state_root
-        root = root[PHI] + elapsed * (estimate.C_gi.T @ root[EPSILON])
-        spread = (self._filter.walk**2 * elapsed
+        states = belief.whole_root
+        root = states[PHI] + elapsed * (estimate.C_gi.T @ states[EPSILON])
+        if augmentation.has_matrix(estimate.augmented.shape[-1]):
+            by_row = states[MATRIX].reshape(3, 3, -1)
+            root = root + estimate.C_gi.T @ np.einsum('kj,ijn->kin', turn[rows], by_row)
+        spread = (self._filter.walk**2 * elapsed + self._filter.density[0]**2 * elapsed**3 / 3.0
                   + (self._filter.gap_acceleration * gap_turn[rows, None, None])**2)
         return Track(samples.stamp_ns, C_gi[rows],
                      root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
-                     samples.rate - estimate.bias)
+                     (samples.rate - estimate.bias) @ gain.T)
