@@ -37,7 +37,8 @@ raster pixels (``uv_raster``) on topics. Anything else wears its unit in its nam
 Where to look
 -------------
 Mathematics: `rotation`, `camera`, `kalman`, `preintegration`. The sky: `catalog`, `sky`. The
-filter: `estimator`, `acquisition`, `stream`; what its covariance means: `verdict`, `evaluation`.
+filter: `estimator`, `acquisition`, `stream`, its options `process_noise`, `augmentation`; what its
+covariance means: `verdict`, `evaluation`.
 Conversions to ROS conventions: `ros_conventions`.
 """
 

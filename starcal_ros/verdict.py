@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from starcal_ros import camera, rotation
+from starcal_ros import camera, kalman, rotation
 from starcal_ros.estimator import (CALIBRATED, N_STATES, PHI, STATE_NAMES, STATE_UNITS, UNIT,
                                    Belief, Filter, Nominal, Stars)
 from starcal_ros.preintegration import Preintegrated
@@ -231,7 +231,8 @@ def _look_ahead(filter_: Filter, belief: Belief) -> Array:
     nominal = Nominal(*(np.broadcast_to(part, (4, *part.shape))
                         for part in (now.C_gi, now.bias, now.C_sg, now.intrinsics)))
     ahead = Belief(nominal, np.zeros((4, N_STATES)),
-                   np.broadcast_to(belief.root, (4, N_STATES, N_STATES)))
+                   np.broadcast_to(kalman.marginal(belief.root, N_STATES),
+                                   (4, N_STATES, N_STATES)))
     for _ in range(_LOOKS):
         ahead = filter_.propagate(ahead, step)
         u_i = r_s @ ahead.nominal.C_si

@@ -17,6 +17,7 @@ from starcal_ros.preintegration import Preintegrated, preintegrate
 from starcal_ros.result import result
 from starcal_ros.simulation import sensors
 from starcal_ros.stream import Stream
+from starcal_ros.verdict import judge
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 MATRIX_ON = {'estimator.augment.gyro_matrix_sigma_ppm': 1000.0}
@@ -462,3 +463,16 @@ def test_result_holds_the_augmented_estimates(late, scaled):
 
 def test_result_says_nothing_of_states_that_are_off():
     assert 'augmented' not in result(Run({}, 30.0).stream, {})
+
+
+def test_verdict_judges_the_16_states_of_an_augmented_filter():
+    """Diagnostics and command ask for it in every run."""
+    scenario = SCENARIO.replace({'estimator.augment.gyro_matrix_sigma_ppm': 100.0,
+                                 'estimator.augment.time_offset_sigma_s': 0.01,
+                                 'simulation.duration_s': 5.0})
+    stream = Stream(scenario)
+    stream.add_gyro(sensors.gyro(scenario).next(10**6))
+    stream.add_frames(sensors.star_tracker(scenario).next(10**6))
+    for _ in stream.process():
+        pass
+    assert len(judge(stream.filter, stream.belief).states) == 13

@@ -131,7 +131,8 @@ class _Gyro:
         samples = GyroSamples.concatenate((self._kept, self._simulator.next(count)))
         first = int(np.searchsorted(samples.stamp_ns, cuts_ns[-1], side='right')) - 1
         self._kept = samples[max(first, 0):]
-        return preintegrate(samples, cuts_ns, filter_.start.bias, 1e9 / rate_hz)
+        return preintegrate(samples, cuts_ns, filter_.start.bias, 1e9 / rate_hz,
+                            filter_.has_matrix)
 
 
 def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
