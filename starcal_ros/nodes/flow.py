@@ -45,6 +45,7 @@ _MOST_WAITING = 5000            # messages that Fast DDS keeps for a subscriber
 _POLL = Duration(seconds=0.05)  # a signal is seen between two of these
 _WORTH_TELLING_S = 5.0
 _GRACE_S = 3.0                  # after a stop, to hand over what has been worked out
+_LOOK_S = 0.25                  # between looks for messages that nobody announced
 _RETRY_S = 1.0                  # between tries for a subscriber that takes nothing
 
 
@@ -217,6 +218,7 @@ class MatchedSubscription:
         self._durability = LATCHED.durability if latched else STREAM.durability
         self._subscription = self._create()
         self._recreation = node.create_guard_condition(self._recreate)
+        self._look = node.create_timer(_LOOK_S, self._look_again)
 
     @property
     def topic(self) -> str:
@@ -236,6 +238,7 @@ class MatchedSubscription:
 
     def destroy(self) -> None:
         """End the subscription."""
+        self._node.destroy_timer(self._look)
         self._node.destroy_guard_condition(self._recreation)
         self._node.destroy_subscription(self._subscription)
 
@@ -245,6 +248,11 @@ class MatchedSubscription:
         return self._node.create_subscription(
             self._type, self._topic, self._on_message, qos, raw=self._raw,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible))
+
+    def _look_again(self) -> None:
+        # What arrives while messages are taken does not always wake the executor once more.
+        if waiting := _take_waiting(self._subscription, BATCH):
+            self._callback(waiting)
 
     def _on_message(self, message: Any) -> None:
         self._callback([message, *_take_waiting(self._subscription, BATCH - 1)])
