@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from starcal_ros import camera
-from starcal_ros.estimator import LENS, Belief, Filter, Stars
+from starcal_ros.estimator import LENS, Belief, Filter
+from starcal_ros.measurements import Stars
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

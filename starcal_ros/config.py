@@ -23,6 +23,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
+from starcal_ros.config_intrinsics import IntrinsicsConfig
 from starcal_ros.config_truth import (MountingDriftConfig, TrueCameraConfig, TrueGyroConfig,
                                       TrueObserverConfig, TrueStarTrackerConfig)
 from starcal_ros.parameter import ConfigError, Parameter, Spec, declared
@@ -257,6 +258,7 @@ class Scenario:
     truth: TruthConfig = field(default_factory=TruthConfig)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    intrinsics: IntrinsicsConfig = field(default_factory=IntrinsicsConfig)
     recorder: RecorderConfig = field(default_factory=RecorderConfig)
     player: PlayerConfig = field(default_factory=PlayerConfig)
 

@@ -56,6 +56,7 @@ from scipy.stats import chi2
 
 from starcal_ros import augmentation, camera, kalman, process_noise, rotation
 from starcal_ros.config import ProcessNoiseConfig, Scenario, SigmaConfig
+from starcal_ros.measurements import Stars
 from starcal_ros.preintegration import Preintegrated
 from starcal_ros.scenario import detector, intrinsics, mounting_matrix
 from starcal_ros.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
@@ -204,24 +205,6 @@ class Belief:
         """Return the normalised estimation error squared, (...), of n degrees of freedom."""
         error = self.estimate.minus(truth) / _SCALES[:self.root.shape[-1]]
         return np.sum(np.linalg.solve(self.root, error[..., None])**2, axis=(-2, -1))
-
-
-class Stars(NamedTuple):
-    """The stars of one frame (or of one frame in each run of a batch).
-
-    Attributes
-    ----------
-    u_i : (..., n, 3) array
-        Apparent places, in i.
-    uv : (..., n, 2) array
-        Measured centroids, from the centre of the detector [px].
-    sigma : (..., n) array
-        Standard deviation of a centroid, each axis [px]; infinite for one that must not count.
-    """
-
-    u_i: Array
-    uv: Array
-    sigma: Array
 
 
 class Update(NamedTuple):

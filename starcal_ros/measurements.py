@@ -11,9 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -116,3 +119,21 @@ class Frames:
                    np.concatenate([part.sigma for part in parts]),
                    np.concatenate([part.magnitude for part in parts]),
                    np.concatenate([part.catalog_id for part in parts]))
+
+
+class Stars(NamedTuple):
+    """The stars of one frame (or of one frame in each run of a batch).
+
+    Attributes
+    ----------
+    u_i : (..., n, 3) array
+        Apparent places, in i; see `places`.
+    uv : (..., n, 2) array
+        Measured centroids, from the centre of the detector [px].
+    sigma : (..., n) array
+        Standard deviation of a centroid, each axis [px]; infinite for one that must not count.
+    """
+
+    u_i: Array
+    uv: Array
+    sigma: Array

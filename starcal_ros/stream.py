@@ -20,13 +20,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import augmentation, catalog, preintegration, sky
+from starcal_ros import augmentation, preintegration
 from starcal_ros.acquisition import AcquisitionError, acquire
 from starcal_ros.config import Scenario
-from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Stars, Update
-from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Update
+from starcal_ros.measurements import Frames, GyroSamples, Stars
+from starcal_ros.places import Places
 from starcal_ros.preintegration import GAP, Preintegrated
-from starcal_ros.scenario import observer
 from starcal_ros.track import Track, Tracker
 from starcal_ros.units import NS
 
@@ -39,8 +39,6 @@ _GYRO_KEPT_S = 3600.0       # readings kept while no frame comes [s]
 _FRAMES_KEPT = 20_000       # frames kept while no gyro comes
 _BATCH = 2000               # frames prepared at once
 _NEVER_NS = np.iinfo(np.int64).min
-_OUTSIDE = 1.1              # a centroid may lie this far out, in halves of the detector
-SIGMA_PX = (1e-4, 1e3)     # of a centroid; outside, the arithmetic of the filter ends
 _NAMED = 20                 # notices of one kind, at most
 
 
@@ -113,9 +111,8 @@ class Stream:
         self.stamp_ns = 0                               # of the last frame processed
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
-        self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
         self._patience = scenario.estimator.reacquire_after_frames
-        self._observer = observer(scenario.observer)
+        self._places = Places(scenario)
         self._gyro = GyroSamples.empty()
         self._frames: list[Frames] = []
         self._newest_frame_ns = _NEVER_NS
@@ -241,7 +238,10 @@ class Stream:
     # Inside
 
     def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
-        stars = self._locate(frames)
+        stars, _, notices = self._places.of(frames)
+        for key, text in notices:
+            self._notice(key, text)
+        self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())
         begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
         cuts = np.concatenate(([begin], frames.stamp_ns))
         gyro = preintegration.preintegrate(
@@ -275,34 +275,6 @@ class Stream:
         if self.belief is None:
             return Track.empty()
         return self._tracker.advance(self.belief, self.stamp_ns, self._gyro, until_ns)
-
-    def _locate(self, frames: Frames) -> Stars:
-        """Return the stars of many frames; the sigma of one that can not be used is infinite."""
-        stars = catalog.load_containing(frames.catalog_id)
-        row = stars.rows(frames.catalog_id)
-        frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-        uv = frames.uv_raster - self.filter.detector.centre_raster
-        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
-        measured = (self.filter.detector.contains(uv / _OUTSIDE)
-                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
-        usable = measured & (row >= 0)
-        self.counts.unusable_stars += int((~usable).sum())
-        for k in np.flatnonzero(~measured)[:1]:
-            u, v = frames.uv_raster[k]
-            self._notice('star', f'star {frames.catalog_id[k]} of the frame at '
-                         f'{frames.stamp_ns[frame[k]]} ns has u, v = {u:g}, {v:g} and sigma '
-                         f'{sigma[k]:g}; needs a place on the detector and a sigma of '
-                         '{:g} to {:g} px: left out'.format(*SIGMA_PX))
-        unknown = frames.catalog_id[measured & (row < 0)]
-        for number in np.unique(unknown[unknown != 0])[:_NAMED].tolist():
-            self._notice(number, f'star number {number} is not in the catalogue: left out')
-        if (unknown == 0).any():
-            self._notice(0, 'stars without a number (catalog_id 0) are left out')
-        u_i = np.tile([0.0, 0.0, 1.0], (len(uv), 1))
-        u_i[usable] = sky.apparent_places(
-            stars, row[usable], frames.stamp_ns,
-            np.bincount(frame[usable], minlength=len(frames)), self._observer)
-        return Stars(u_i, np.where(usable[:, None], uv, 0.0), np.where(usable, sigma, np.inf))
 
     def _with_attitude(self, belief: Belief | None, frame: Stars, reading: Array
                        ) -> tuple[Belief, Stars] | None:

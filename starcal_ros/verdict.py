@@ -35,7 +35,8 @@ from scipy.sparse.csgraph import connected_components
 
 from starcal_ros import camera, kalman, rotation
 from starcal_ros.estimator import (CALIBRATED, N_STATES, PHI, STATE_NAMES, STATE_UNITS, UNIT,
-                                   Belief, Filter, Nominal, Stars)
+                                   Belief, Filter, Nominal)
+from starcal_ros.measurements import Stars
 from starcal_ros.preintegration import Preintegrated
 from starcal_ros.units import DEG
 

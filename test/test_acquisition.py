@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 from starcal_ros import catalog, parameter_file, rotation, sky
 from starcal_ros.acquisition import MIN_STARS, AcquisitionError, acquire
-from starcal_ros.estimator import CALIBRATED, SCALE, SIGMA_ACQUIRED, THETA, Filter, Nominal, Stars
+from starcal_ros.estimator import CALIBRATED, SCALE, SIGMA_ACQUIRED, THETA, Filter, Nominal
+from starcal_ros.measurements import Stars
 from starcal_ros.scenario import observer
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth

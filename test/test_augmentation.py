@@ -11,7 +11,8 @@ from scipy.stats import chi2
 
 from starcal_ros import augmentation, kalman, parameter_file, ros_conventions, rotation
 from starcal_ros.estimator import (AUGMENTED, MATRIX, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
-                                   THETA, Belief, Filter, Nominal, Stars)
+                                   THETA, Belief, Filter, Nominal)
+from starcal_ros.measurements import Stars
 from starcal_ros.measurements import GyroSamples
 from starcal_ros.preintegration import Preintegrated, preintegrate
 from starcal_ros.result import result

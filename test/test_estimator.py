@@ -12,7 +12,8 @@ from scipy.stats import chi2
 from starcal_ros import camera, config, parameter_file, rotation
 from starcal_ros.estimator import (CALIBRATED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE,
                                    SIGMA_ACQUIRED, STATE_NAMES, STATE_UNITS, THETA, UNIT, Belief,
-                                   Filter, Nominal, Stars)
+                                   Filter, Nominal)
+from starcal_ros.measurements import Stars
 from starcal_ros.measurements import GyroSamples
 from starcal_ros.preintegration import Preintegrated, preintegrate
 from starcal_ros.simulation import sensors

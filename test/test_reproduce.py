@@ -18,7 +18,7 @@ SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 6.0})
 @pytest.fixture(scope='module', params=published.names())
 def outcome(request, tmp_path_factory):
     """Return what a table gives in a run that is far too short."""
-    return published.load(request.param)(
+    return published.load(request.param).reproduce(
         SCENARIO, 2, tmp_path_factory.mktemp('work'), lambda part: None)
 
 
@@ -34,7 +34,7 @@ def test_rows_fill_the_columns_and_the_notes_say_what_is_missing(outcome):
     ('table5', 'gyro.arw_deg_sqrt_h = 0.001', 'epsilon_y', 8.3e-4),
 ])
 def test_table_has_the_number_of_the_paper(name, column, state, paper, tmp_path):
-    table = published.load(name)(SCENARIO, 1, tmp_path, lambda part: None)
+    table = published.load(name).reproduce(SCENARIO, 1, tmp_path, lambda part: None)
     rows = [dict(zip(table.columns, row)) for row in table.rows]
     assert {row['state'] for row in rows} == set(STATE_NAMES[CALIBRATED])
     row, = (row for row in rows if (row['column'], row['state']) == (column, state))
@@ -43,7 +43,7 @@ def test_table_has_the_number_of_the_paper(name, column, state, paper, tmp_path)
 
 
 def test_bias_that_can_not_be_met_is_said(tmp_path):
-    table = published.load('table4')(SCENARIO, 1, tmp_path, lambda part: None)
+    table = published.load('table4').reproduce(SCENARIO, 1, tmp_path, lambda part: None)
     assert any('7.1e-4' in note and 'can not be met' in note for note in table.notes)
 
 

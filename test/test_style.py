@@ -80,9 +80,9 @@ def test_only_the_report_plots():
 
 def test_the_truth_is_hidden_from_the_estimator():
     assert importers('starcal_ros.simulation') <= {
-        'simulation', 'simulate.py', 'evaluation', 'cli.py', 'nodes'}
+        'simulation', 'simulate.py', 'evaluation', 'cli', 'nodes'}
 
 
 def test_the_core_stands_below_report_nodes_and_command_line():
     assert importers('starcal_ros.report', 'starcal_ros.nodes', 'starcal_ros.cli') <= {
-        'report', 'nodes', 'cli.py'}
+        'report', 'nodes', 'cli'}

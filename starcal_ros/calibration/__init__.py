@@ -1,3 +1,37 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration methods, one a file: a recording goes in, estimates and their history come out."""
+"""Calibration methods, one a file; the file's name is the value of ``--method``.
+
+Each module has ``start(scenario)``, which returns a `camera_estimate.CameraMethod`: gyro samples
+and frames go in, a camera with its covariance comes out. What all methods must do is tested in
+``test/test_methods.py``, which finds them here.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+import pkgutil
+
+from starcal_ros.camera_estimate import CameraMethod
+from starcal_ros.config import Scenario
+from starcal_ros.parameter import ConfigError
+
+
+def names() -> list[str]:
+    """Return the methods there are."""
+    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+
+
+def start(scenario: Scenario) -> CameraMethod:
+    """Begin a calibration by the method ``intrinsics.method``.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such method.
+    """
+    method = scenario.intrinsics.method
+    if method not in names():
+        raise ConfigError(f'intrinsics.method: got {method!r}, allowed are {", ".join(names())}')
+    begun: CameraMethod = import_module(f'{__name__}.{method}').start(scenario)
+    return begun

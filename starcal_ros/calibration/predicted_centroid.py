@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
-from starcal_ros.estimator import N_STATES
+from starcal_ros.estimator import LENS, N_STATES
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.stream import Stream
 from starcal_ros.verdict import equivalent_sigma
@@ -139,3 +140,34 @@ def _sigma(frames: Frames, stamp_ns: NDArray[np.int64], scenario: Scenario) -> A
     sigma = np.concatenate([np.empty(0), *(
         frames.sigma[low:high] for low, high in zip(frames.first[row], frames.first[row + 1]))])
     return np.where(sigma == 0.0, scenario.star_tracker.centroid_sigma_px, sigma)
+
+
+def start(scenario: Scenario) -> PredictedCentroid:
+    """Begin a calibration of which only the camera is asked for."""
+    return PredictedCentroid(scenario)
+
+
+class PredictedCentroid:
+    """The 16-state filter as a `CameraMethod`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Nominal values and estimator options; all seven intrinsics are estimated.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._stream = Stream(scenario)
+        self.add_gyro = self._stream.add_gyro
+        self.add_frames = self._stream.add_frames
+        self.take_notices = self._stream.take_notices
+
+    def estimate(self) -> CameraEstimate | None:
+        """Return the camera after the last frame that the gyro has reached."""
+        for _ in self._stream.process():
+            pass
+        belief, counts = self._stream.belief, self._stream.counts
+        if belief is None:
+            return None
+        return CameraEstimate(belief.estimate.intrinsics, belief.covariance[LENS, LENS],
+                              counts.frames, counts.stars)

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from starcal_ros import catalog, rotation, sky
 from starcal_ros.acquisition import acquire
 from starcal_ros.config import Scenario
-from starcal_ros.estimator import PHI, Belief, Filter, Nominal, Stars
-from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.estimator import PHI, Belief, Filter, Nominal
+from starcal_ros.measurements import Frames, GyroSamples, Stars
 from starcal_ros.preintegration import Preintegrated, preintegrate
 from starcal_ros.scenario import observer
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import REPROJECTION_S, SIGMA_PX
+from starcal_ros.places import SIGMA_PX
+from starcal_ros.stream import REPROJECTION_S
 from starcal_ros.units import NS
 
 Array = NDArray[np.float64]

@@ -29,7 +29,7 @@ from starcal_ros.estimator import CALIBRATED, LENS, N_STATES, SCALE, Filter
 from starcal_ros.measurements import Frames
 from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import SIGMA_PX
+from starcal_ros.places import SIGMA_PX
 from starcal_ros.units import NS
 
 Array = NDArray[np.float64]

@@ -1,63 +1,47 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables, one a file: the file's name is what ``starcal reproduce`` is given.
+"""Tables and figures of the papers, one a file: its name is what ``starcal reproduce`` is given.
 
-Each module has ``reproduce(scenario, runs, work, on_progress)``, which returns an `Outcome`.
+Names without a prefix are of T18 (Tan et al. 2018); a file ``w19_table2.py`` is ``w19-table2``.
+Each module has ``RUNS``, how many runs it takes unless told otherwise, and
+``reproduce(scenario, runs, work, on_progress)``, which returns an `Outcome`; ``work`` is a folder
+for what an interrupted study goes on with.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 import pkgutil
-from typing import Any, cast
+from typing import Protocol, cast
 
 from starcal_ros.config import Scenario
+from starcal_ros.evaluation.outcome import Outcome
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """A table reproduced.
+class Study(Protocol):
+    """What a module of this package is."""
 
-    Attributes
-    ----------
-    title : str
-        Which table, and from how many runs.
-    columns : tuple of str
-        Its head; the first column groups the rows.
-    rows : tuple of tuples
-        Text and numbers.
-    notes : tuple of str
-        What the paper does not state, or can not be met honestly.
-    """
+    RUNS: int
 
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str | float, ...], ...]
-    notes: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it for JSON, each row a dictionary."""
-        return {'title': self.title, 'notes': list(self.notes),
-                'rows': [dict(zip(self.columns, row)) for row in self.rows]}
+    def reproduce(self, scenario: Scenario, runs: int, work: Path,
+                  on_progress: Callable[[float], None]) -> Outcome:
+        """Run the study."""
 
 
 BESIDE = ('column', 'state', 'unit', 'paper', 'ours', 'bound', 'ratio')
 """Head of a table that puts published numbers beside ours; ratio is ours over the bound."""
 
-Reproduce = Callable[[Scenario, int, Path, Callable[[float], None]], Outcome]
-
 
 def names() -> list[str]:
     """Return what can be reproduced."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+    return sorted(module.name.replace('_', '-') for module in pkgutil.iter_modules(__path__))
 
 
-def load(name: str) -> Reproduce:
-    """Return the function that reproduces a table."""
-    return cast(Reproduce, import_module(f'{__name__}.{name}').reproduce)
+def load(name: str) -> Study:
+    """Return the module that reproduces a table or figure."""
+    return cast(Study, import_module(f'{__name__}.{name.replace("-", "_")}'))
 
 
 NOT_STATED = ('T18 states neither slew rate, dwell nor stars a frame; ours are those of the '

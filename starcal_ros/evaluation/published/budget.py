@@ -17,8 +17,9 @@ from starcal_ros.estimator import STATE_NAMES
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.evaluation.published import Outcome
+from starcal_ros.evaluation.outcome import Outcome
 
+RUNS = 100
 SOURCES: dict[str, dict[str, Any]] = {
     'scale 100 ppm': {'truth.gyro.scale_factor_ppm': (100.0, 100.0, 100.0)},
     'misaligned 20"': {'truth.gyro.misalignment_arcsec': (20.0,) * 6},

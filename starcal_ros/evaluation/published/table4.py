@@ -11,8 +11,10 @@ from starcal_ros.config import Scenario
 from starcal_ros.estimator import CALIBRATED, STATE_NAMES, STATE_UNITS
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.evaluation.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED, Outcome
+from starcal_ros.evaluation.outcome import Outcome
+from starcal_ros.evaluation.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED
 
+RUNS = 100
 KEY, VALUES = 'star_tracker.centroid_sigma_px', (0.0, 0.05, 0.10, 0.15, 0.20)
 PAPER = {
     'epsilon_x': (3.2e-4, 3.8e-4, 3.6e-4, 3.5e-4, 3.7e-4),

@@ -9,9 +9,11 @@ from pathlib import Path
 
 from starcal_ros.config import Scenario
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.evaluation.published import NOT_STATED, Outcome
+from starcal_ros.evaluation.outcome import Outcome
+from starcal_ros.evaluation.published import NOT_STATED
 from starcal_ros.evaluation.published.table4 import swept
 
+RUNS = 100
 KEY, VALUES = 'gyro.arw_deg_sqrt_h', (0.0, 0.0001, 0.001, 0.01, 0.1)
 BIAS_DEG_H = (0.1, 0.1, 0.1)
 PAPER = {

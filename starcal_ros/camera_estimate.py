@@ -1,0 +1,56 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a method that calibrates the camera alone is, and what it gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.measurements import Frames, GyroSamples
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraEstimate:
+    """A calibrated camera.
+
+    Attributes
+    ----------
+    intrinsics : (7,) array
+        As in `starcal_ros.camera`.
+    covariance : (7, 7) array
+        Of their errors; zero where an intrinsic was not estimated.
+    frames, stars : int
+        Used so far.
+    """
+
+    intrinsics: Array
+    covariance: Array
+    frames: int
+    stars: int
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations, (7,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+class CameraMethod(Protocol):
+    """A calibration in progress; one is made by ``start(scenario)`` of each calibration method."""
+
+    def add_gyro(self, samples: GyroSamples) -> None:
+        """Take gyro samples, in the order in which they arrived."""
+
+    def add_frames(self, frames: Frames) -> None:
+        """Take frames, in the order in which they arrived."""
+
+    def estimate(self) -> CameraEstimate | None:
+        """Return the camera from all that has come so far; None while there is nothing to say."""
+
+    def take_notices(self) -> list[str]:
+        """Return what happened that a user should know, once."""

@@ -1,0 +1,56 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The command ``starcal``, one file a sub-command.
+
+A sub-command is a module of this package with ``SUMMARY``, ``DESCRIPTION``,
+``add_arguments(parser)`` and ``run(options)``, which returns the exit status: 0 done, 1 the data
+gave no calibration or a node failed, 2 wrong input. What takes long to import is imported by
+``run``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+
+import starcal_ros
+from starcal_ros.cdr import RecordError
+from starcal_ros.cli.terminal import say
+from starcal_ros.demo import NodeError
+from starcal_ros.parameter import ConfigError
+
+COMMANDS = ('demo', 'simulate', 'calibrate', 'montecarlo', 'reproduce', 'play', 'info')
+"""In the order in which the usage lists them."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command and return its exit status."""
+    options = parse(arguments)
+    try:
+        return int(options.run(options))
+    except (ConfigError, RecordError, FileNotFoundError) as error:
+        status, text = 2, str(error)
+    except (ValueError, NodeError) as error:
+        status, text = 1, str(error)
+    except KeyboardInterrupt:
+        status, text = 130, 'interrupted'
+    say(f'starcal {options.command}: {text}')
+    return status
+
+
+def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Read a command line; a wrong one ends the process with status 2 and the usage."""
+    parser = argparse.ArgumentParser(
+        prog='starcal', description='Calibrate a star tracker and three gyros from the stars '
+        'they see: principal point, focal length, distortion, gyro bias, mounting and attitude.',
+        epilog='Exit status: 0 done, 1 no calibration from this data, 2 wrong input. '
+               'For one command: starcal COMMAND --help')
+    parser.add_argument('--version', action='version',
+                        version=f'starcal_ros {starcal_ros.__version__}')
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
+    for name in COMMANDS:
+        module = import_module(f'{__name__}.{name}')
+        command = commands.add_parser(name, help=module.SUMMARY, description=module.DESCRIPTION)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    return parser.parse_args(arguments)

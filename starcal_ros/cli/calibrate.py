@@ -1,0 +1,100 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal calibrate``: the 16-state filter over a recording."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import json
+from pathlib import Path
+
+import starcal_ros
+from starcal_ros import parameter_file
+from starcal_ros.cli import arguments
+from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.config import Scenario
+from starcal_ros.parameter import ConfigError
+from starcal_ros.stream import Stream
+
+SUMMARY = 'calibrate a recording'
+DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
+               'with imu/data_raw (sensor_msgs/Imu) and star_tracker/centroids '
+               '(sensor_msgs/PointCloud2: u, v, catalog_id).')
+
+_INSTRUMENTS = ('camera.', 'mounting.', 'gyro.', 'star_tracker.', 'observer.')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    arguments.add_bag(parser)
+    arguments.add_config(parser)
+    parser.add_argument('--out', metavar='RESULT.json', required=True, help='result to write')
+    parser.add_argument('--figure', metavar='PNG', help='draw the convergence of the estimates')
+    parser.add_argument('--report', metavar='HTML',
+                        help='write the report: verdict, states, charts, on one page')
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    calibrate_recording(options.bag, arguments.scenario(options), Path(options.out),
+                        Path(options.figure) if options.figure else None,
+                        Path(options.report) if options.report else None)
+    return 0
+
+
+def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
+                        page: Path | None) -> Stream:
+    """Calibrate a recording, write the result, print its table and return the final state."""
+    from starcal_ros import record, report, result, verdict
+    from starcal_ros.calibration import predicted_centroid
+
+    for path in (out, figure, page):
+        if path is not None:
+            arguments.require_writable(path)
+    with progress('reading') as on_progress:
+        recording = record.read(bag, on_progress)
+    contradictions = list(_contradictions(
+        recording.attachments.get(record.CONFIG_ATTACHMENT), scenario))
+    for text in contradictions:
+        say(f'warning: {text}')
+    with progress('calibrating') as on_progress:
+        stream, history = predicted_centroid.calibrate(
+            recording.gyro, recording.frames, scenario, on_progress)
+    notices = [*recording.warnings, *stream.take_notices()]
+    for text in notices:
+        say(f'warning: {text}')
+    outcome = result.result(stream, {
+        'version': starcal_ros.__version__, 'config_sha256': scenario.sha256,
+        'bag': str(bag), 'bag_sha256': recording.sha256})
+    result.write_json(out, outcome)
+    attached = recording.attachments.get(record.TRUTH_ATTACHMENT)
+    truth = json.loads(attached) if attached else None
+    show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
+    show(report.summary(outcome))
+    assert stream.belief is not None        # or result.result has told
+    judged = verdict.judge(stream.filter, stream.belief, stream.tracking)
+    show(f'Verdict: {judged.summary}')
+    if figure is not None:
+        report.figure(history, truth, figure)
+    if page is not None:
+        from starcal_ros.report.page import Calibration, write_page
+        write_page(page, Calibration(outcome, truth, history, judged, scenario,
+                                     contradictions + notices))
+    return stream
+
+
+def _contradictions(attached: bytes | None, scenario: Scenario) -> Iterator[str]:
+    """Yield what the configuration in a recording says of the instruments and this one denies."""
+    if attached is None:
+        return
+    try:
+        own = parameter_file.parse(attached.decode(errors='replace'), 'its configuration').flat()
+    except ConfigError as error:
+        yield f'the recording has a configuration that can not be read: {error}'
+        return
+    given = scenario.flat()
+    for key in sorted(own.keys() | given.keys()):
+        if key.startswith(_INSTRUMENTS) and own.get(key) != given.get(key):
+            yield (f"{key} is {own.get(key)} in the recording's own configuration, "
+                   f'{given.get(key)} here')

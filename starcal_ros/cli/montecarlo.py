@@ -1,0 +1,70 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal montecarlo``: one scenario, many seeds."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from starcal_ros.cli import arguments
+from starcal_ros.cli.terminal import progress, show
+from starcal_ros.parameter import ConfigError
+
+SUMMARY = 'run a scenario many times'
+DESCRIPTION = ('Simulate and estimate a scenario with many seeds and compare the errors with the '
+               'covariance that the filter states and with the Cramér-Rao bound. A killed study '
+               'goes on where it was when the same command is given again.')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    arguments.add_config(parser)
+    parser.add_argument('--runs', metavar='N', type=int, default=100,
+                        help='runs, at each value of a sweep (default: %(default)s)')
+    parser.add_argument('--sweep', metavar='KEY=V1,V2,…',
+                        help='a parameter and the values that it takes one after the other')
+    arguments.add_duration(parser)
+    parser.add_argument('--out', metavar='SUMMARY.json', default='montecarlo.json',
+                        help='summary to write; all runs go into an .npz file beside it '
+                        '(default: %(default)s)')
+    parser.add_argument('--dask', metavar='ADDRESS',
+                        help='scheduler of a Dask cluster to run on (needs the extra dask)')
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from starcal_ros.evaluation import montecarlo
+    scenario = arguments.scenario(options, duration_s=options.duration)
+    study = montecarlo.Study.of(scenario, options.runs, options.sweep)
+    out = Path(options.out)
+    arguments.require_writable(out)
+    parts = out.with_name(out.name + '.parts')
+    with _cluster(options.dask) as backend, progress('running') as on_progress:
+        results = montecarlo.run(study, parts, backend=backend, on_progress=on_progress)
+    summary = montecarlo.finish(study, results, out, parts)
+    from starcal_ros import report
+    for point in summary.get('points', [summary]):
+        title = f'{study.key} = {point[study.key]}' if study.key else str(options.config or '')
+        show(report.study(point, title))
+    return 0
+
+
+@contextmanager
+def _cluster(address: str | None) -> Iterator[str]:
+    """Connect to a Dask cluster where one is named; yield joblib's backend."""
+    if address is None:
+        yield 'loky'
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ConfigError("--dask: needs pip install 'starcal_ros[dask]'") from None
+    try:
+        client = Client(address, timeout=10)        # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise ConfigError(f'--dask: no scheduler answers at {address}: {error}') from None
+    with client:
+        yield 'dask'

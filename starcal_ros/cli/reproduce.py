@@ -1,0 +1,56 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal reproduce``: a paper's table or figure beside ours."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+import shutil
+
+from starcal_ros.cli import arguments
+from starcal_ros.cli.terminal import progress, show
+from starcal_ros.evaluation import published
+
+SUMMARY = "compare with a paper's table or figure"
+DESCRIPTION = ('Run what a table or figure of a paper was made from, and put its numbers beside '
+               'ours and the bound. Names without a prefix are of Tan et al. 2018.')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    parser.add_argument('name', metavar='NAME', choices=[*published.names(), 'all'],
+                        help='%(choices)s')
+    arguments.add_config(parser)
+    parser.add_argument('--runs', '--rounds', metavar='N', type=int, dest='runs',
+                        help='runs a column or point (default: as many as the study needs)')
+    arguments.add_duration(parser)
+    parser.add_argument('--out', metavar='FILE.json', default='reproduce.json',
+                        help='the same numbers as JSON; figures are drawn beside it, as NAME.png '
+                        '(default: %(default)s)')
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    scenario = arguments.scenario(options, duration_s=options.duration)
+    out = Path(options.out)
+    arguments.require_writable(out)
+    parts = out.with_name(out.name + '.parts')
+    outcomes = {}
+    for name in published.names() if options.name == 'all' else [options.name]:
+        study = published.load(name)
+        with progress(name) as on_progress:
+            outcomes[name] = study.reproduce(
+                scenario, options.runs or study.RUNS, parts, on_progress)
+    from starcal_ros import report
+    for name, outcome in outcomes.items():
+        show(report.published(outcome))
+        if outcome.panels:
+            figure = out.with_name(f'{name}.png')
+            report.draw(outcome, figure)
+            show(f'Figure: {figure}')
+    out.write_text(json.dumps({name: outcome.as_dict() for name, outcome in outcomes.items()},
+                              indent=1, allow_nan=False) + '\n', encoding='utf-8')
+    shutil.rmtree(parts, ignore_errors=True)
+    return 0

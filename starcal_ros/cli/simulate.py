@@ -1,0 +1,33 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal simulate``: a recording without ROS."""
+
+from __future__ import annotations
+
+import argparse
+
+from starcal_ros.cli import arguments
+from starcal_ros.cli.terminal import progress
+
+SUMMARY = 'write a simulated recording'
+DESCRIPTION = ('Simulate the sensors of a scenario and write their messages, the configuration '
+               'and the truth into an MCAP recording, without ROS.')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    arguments.add_config(parser)
+    parser.add_argument('--out', metavar='BAG', required=True, help='.mcap file to write')
+    arguments.add_duration(parser)
+    parser.add_argument('--seed', metavar='N', type=int,
+                        help='seed of the noise, in place of simulation.seed')
+    parser.add_argument('--overwrite', action='store_true', help='replace an existing file')
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from starcal_ros.simulate import simulate
+    scenario = arguments.scenario(options, duration_s=options.duration, seed=options.seed)
+    with progress('simulating') as on_progress:
+        simulate(scenario, options.out, options.overwrite, on_progress)
+    return 0

@@ -1,0 +1,91 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From the messages of a star tracker to stars with places: what every calibration begins with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import catalog, sky
+from starcal_ros.config import Scenario
+from starcal_ros.measurements import Frames, Stars
+from starcal_ros.scenario import detector, observer
+
+Mask = NDArray[np.bool_]
+
+SIGMA_PX = (1e-4, 1e3)
+"""Least and largest sigma of a centroid; outside, the arithmetic of a filter ends."""
+
+_OUTSIDE = 1.1              # a centroid may lie this far out, in halves of the detector
+_NAMED = 20                 # stars without a place that are named, at most
+
+
+class Placed(NamedTuple):
+    """The stars of some frames, end to end.
+
+    Attributes
+    ----------
+    stars : Stars
+        Their apparent places, centroids and sigmas; sigma is infinite where no place is known or
+        the centroid can not be used.
+    measured : (n,) bool array
+        Centroids that can be used, with or without a place.
+    notices : list of (key, str)
+        What a user should know once; a key stands for what is the same.
+    """
+
+    stars: Stars
+    measured: Mask
+    notices: list[tuple[object, str]]
+
+
+class Places:
+    """Finds the stars of frames in the catalogue, as a scenario's observer sees them.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its camera, observer and nominal sigma of a centroid.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._detector = detector(scenario.camera)
+        self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
+        self._observer = observer(scenario.observer)
+
+    def of(self, frames: Frames) -> Placed:
+        """Return the stars of many frames."""
+        stars = catalog.load_containing(frames.catalog_id)
+        row = stars.rows(frames.catalog_id)
+        frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+        uv = frames.uv_raster - self._detector.centre_raster
+        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
+        measured = (self._detector.contains(uv / _OUTSIDE)
+                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        usable = measured & (row >= 0)
+        u_i = np.tile([0.0, 0.0, 1.0], (len(uv), 1))
+        u_i[usable] = sky.apparent_places(
+            stars, row[usable], frames.stamp_ns,
+            np.bincount(frame[usable], minlength=len(frames)), self._observer)
+        return Placed(
+            Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf)),
+            measured, list(_notices(frames, frame, sigma, measured, row)))
+
+
+def _notices(frames: Frames, frame: NDArray[np.int64], sigma: NDArray[np.float64], measured: Mask,
+             row: NDArray[np.int64]) -> Iterator[tuple[object, str]]:
+    for k in np.flatnonzero(~measured)[:1]:
+        u, v = frames.uv_raster[k]
+        yield 'star', (
+            f'star {frames.catalog_id[k]} of the frame at {frames.stamp_ns[frame[k]]} ns has '
+            f'u, v = {u:g}, {v:g} and sigma {sigma[k]:g}; needs a place on the detector and a '
+            'sigma of {:g} to {:g} px: left out'.format(*SIGMA_PX))
+    unknown = frames.catalog_id[measured & (row < 0)]
+    for number in np.unique(unknown[unknown != 0])[:_NAMED].tolist():
+        yield number, f'star number {number} is not in the catalogue: left out'
+    if (unknown == 0).any():
+        yield 0, 'stars without a number (catalog_id 0) are left out'
