@@ -11,10 +11,9 @@ the optical axes o, in which r_o = (a, b, 1) Z ::
     r^2 = a^2 + b^2,    m = 1 + k1 r^2 + k2 r^4                          (W19 Eq. 7, 5, 6)
     u = u0 + (f / D_u) a m,    v = v0 + (f / D_v) b m                    (W19 Eq. 1 to 4)
 
-This is the project's camera on square pixels of width D_u, with the rows afterwards divided by s,
-and the coefficients counted on the sphere instead of on the detector ::
+On the raster (u, s v), which has square pixels of width D_u, this is the project's camera with ::
 
-    k1_project = k1 / f^2,    k2_project = k2 / f^4,    p1 = p2 = 0              (C.1)
+    u0, s v0,  f,  k1_project = k1 / f^2,  k2_project = k2 / f^4,  p1 = p2 = 0          (C.1)
 
 Eq. 6 as printed multiplies u itself, which W19 counts from the corner of the image, and not the
 distance u - u0 from the principal point. That can not be meant: the image would be stretched about
@@ -54,13 +53,13 @@ def from_w19(parameters: Array, detector: Detector) -> Array:
     ValueError
         Where s is not 1: the project's pixels are square.
     """
-    s, f, u0, v0, k1, k2 = np.moveaxis(np.asarray(parameters, float), -1, 0)
+    parameters = np.asarray(parameters, float)
+    s = parameters[..., 0]
     if np.any(s != 1.0):
-        raise ValueError(f's = {np.ravel(s)[np.ravel(s) != 1.0][0]}: a camera with square pixels '
-                         'has s = 1')
-    uv0 = np.stack((u0, v0), axis=-1) - detector.centre_raster
-    lens = np.stack((f, k1 / f**2, k2 / f**4, 0.0 * f, 0.0 * f), axis=-1)
-    return np.concatenate((uv0, lens), axis=-1)
+        raise ValueError(f's = {s[s != 1.0].flat[0]}: a camera with square pixels has s = 1')
+    intrinsics = _square(parameters)
+    intrinsics[..., :2] -= detector.centre_raster
+    return intrinsics
 
 
 def to_w19(intrinsics: Array, detector: Detector) -> Array:
@@ -104,7 +103,7 @@ def _require_zero(intrinsics: Array, names: tuple[str, ...], why: str) -> None:
     for name in names:
         value = intrinsics[..., INTRINSICS.index(name)]
         if np.any(value != 0.0):
-            raise ValueError(f'{name} = {np.ravel(value)[np.ravel(value) != 0.0][0]}: {why}')
+            raise ValueError(f'{name} = {value[value != 0.0].flat[0]}: {why}')
 
 
 def project_w19(r_s: Array, parameters: Array, pitch_mm: float) -> Array:
@@ -119,12 +118,12 @@ def project_w19(r_s: Array, parameters: Array, pitch_mm: float) -> Array:
     pitch_mm : float
         Width of a pixel, D_u [mm].
     """
-    return _raster(camera.project(r_s, _square(parameters), pitch_mm), parameters)
+    return camera.project(r_s, _square(parameters), pitch_mm) / _aspect(parameters)
 
 
 def unproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float) -> Array:
     """Return the unit directions in s, (..., n, 3), of raster centroids: W19 Eq. 8."""
-    return camera.unproject(_centred(uv_raster, parameters), _square(parameters), pitch_mm)
+    return camera.unproject(uv_raster * _aspect(parameters), _square(parameters), pitch_mm)
 
 
 def linearize_w19(r_s: Array, parameters: Array, pitch_mm: float) -> tuple[Array, Array, Array]:
@@ -140,18 +139,16 @@ def linearize_w19(r_s: Array, parameters: Array, pitch_mm: float) -> tuple[Array
         d uv_raster / d parameters.
     """
     uv, H_rotation, H_square = camera.linearize(r_s, _square(parameters), pitch_mm)
-    H = _by_w19(H_square, parameters)
-    rows = np.stack((np.ones_like(parameters[..., 0]), 1.0 / parameters[..., 0]), axis=-1)
-    rows = rows[..., None, :, None]
-    H[..., 2:4] = np.eye(2)
-    H[..., [0, 1, 4, 5]] *= rows
-    H[..., 1, 0] = -uv[..., 1] / parameters[..., None, 0]**2
-    return _raster(uv, parameters), H_rotation * rows, H
+    aspect = _aspect(parameters)
+    uv = uv / aspect
+    H = H_square @ _slope_of_square(parameters)[..., None, :, :]
+    H[..., 1, 0] -= uv[..., 1]
+    return uv, H_rotation / aspect[..., None], H / aspect[..., None]
 
 
 def backproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float
                     ) -> tuple[Array, Array, Array]:
-    """Return `unproject_w19` and its derivatives, by the chain rule.
+    """Return `unproject_w19` and its derivatives.
 
     Returns
     -------
@@ -162,42 +159,36 @@ def backproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float
     dw_dparameters : (..., n, 3, 6) array
         d w_s / d parameters at fixed centroids.
     """
-    uv = _centred(uv_raster, parameters)
-    w_s, dw_duv, dw_square = camera.backproject(uv, _square(parameters), pitch_mm)
-    dw = _by_w19(dw_square, parameters)
-    s = parameters[..., None, None, 0]
-    dw[..., 0] = dw_duv[..., 1] * (uv[..., 1, None] / s)
-    dw_duv[..., 1] *= s
-    dw[..., 2:4] = -dw_duv
-    return w_s, dw_duv, dw
+    aspect = _aspect(parameters)
+    w_s, dw_duv, dw_square = camera.backproject(
+        uv_raster * aspect, _square(parameters), pitch_mm)
+    dw = dw_square @ _slope_of_square(parameters)[..., None, :, :]
+    dw[..., 0] += dw_duv[..., 1] * uv_raster[..., 1, None]
+    return w_s, dw_duv * aspect[..., None, :], dw
+
+
+def _aspect(parameters: Array) -> Array:
+    """Return the factors, (..., 1, 2), that make W19's raster square."""
+    factors = np.ones((*parameters.shape[:-1], 1, 2))
+    factors[..., 0, 1] = parameters[..., 0]
+    return factors
 
 
 def _square(parameters: Array) -> Array:
-    """Return the camera with square pixels about its principal point, (..., 7)."""
-    _, f, _, _, k1, k2 = (parameters[..., k] for k in range(6))
-    zero = 0.0 * f
-    return np.stack((zero, zero, f, k1 / f**2, k2 / f**4, zero, zero), axis=-1)
-
-
-def _by_w19(by_square: Array, parameters: Array) -> Array:
-    """Return derivatives (..., 6) from those by `_square` (..., 7); s, u0 and v0 left at zero."""
-    _, f, _, _, k1, k2 = (parameters[..., None, None, k] for k in range(6))
-    by_f, by_k1, by_k2 = (by_square[..., k] for k in (2, 3, 4))
-    out = np.zeros((*by_square.shape[:-1], 6))
-    out[..., 1] = by_f - 2.0 * by_k1 * k1 / f**3 - 4.0 * by_k2 * k2 / f**5
-    out[..., 4], out[..., 5] = by_k1 / f**2, by_k2 / f**4
+    """Return the project's camera on the square raster, (..., 7): Eq. (C.1)."""
+    s, f, u0, v0, k1, k2 = (parameters[..., k] for k in range(6))
+    out = np.zeros((*parameters.shape[:-1], 7))
+    out[..., 0], out[..., 1], out[..., 2] = u0, s * v0, f
+    out[..., 3], out[..., 4] = k1 / f**2, k2 / f**4
     return out
 
 
-def _centred(uv_raster: Array, parameters: Array) -> Array:
-    """Return centroids from the principal point, in square pixels."""
-    uv = uv_raster - parameters[..., None, 2:4]
-    uv[..., 1] *= parameters[..., None, 0]
-    return uv
-
-
-def _raster(uv: Array, parameters: Array) -> Array:
-    """Undo `_centred`."""
-    uv = uv.copy()
-    uv[..., 1] /= parameters[..., None, 0]
-    return uv + parameters[..., None, 2:4]
+def _slope_of_square(parameters: Array) -> Array:
+    """Return the derivative of `_square`, (..., 7, 6)."""
+    s, f, _, v0, k1, k2 = (parameters[..., k] for k in range(6))
+    out = np.zeros((*parameters.shape[:-1], 7, 6))
+    out[..., 0, 2] = out[..., 2, 1] = 1.0
+    out[..., 1, 0], out[..., 1, 3] = v0, s
+    out[..., 3, 1], out[..., 3, 4] = -2.0 * k1 / f**3, 1.0 / f**2
+    out[..., 4, 1], out[..., 4, 5] = -4.0 * k2 / f**5, 1.0 / f**4
+    return out
