@@ -176,7 +176,7 @@ def _misfit(frame: Frame, root: Array, away: Array) -> Array:
 
 
 def _vote(belief: Belief, stars: Stars, lens: Lens) -> Mask:
-    """Measurement which stars agree with the attitude that most of them agree with."""
+    """Tell which stars agree with the attitude that most of them agree with."""
     try:
         frame = invariants.linearize(stars, belief.parameters, lens)
     except np.linalg.LinAlgError:

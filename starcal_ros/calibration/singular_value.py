@@ -119,7 +119,7 @@ def slopes(member: Array, w: Array, p: Array, sigma: Array, dw: Array) -> Array:
     member, w
         As for `gram`.
     p : (..., m, 3, k) array
-        Left singular vectors.
+        Eigenvectors of their Gram matrices.
     sigma : (..., m, k) array
         Singular values, not zero.
     dw : (..., n, 3, c) array

@@ -30,7 +30,7 @@ UNITS = {**dict.fromkeys(PARAMETERS, '%'), 'A': '"', 'A over frames': '"', 'A ov
 """Of each quantity; A and B are means, what they are over is a standard deviation."""
 
 _DRAWS = 100
-_TIMED, _TRIES = 50, 5
+_TIMED, _TRIES = 50, 9
 
 
 def notes(runs: int) -> tuple[str, ...]:

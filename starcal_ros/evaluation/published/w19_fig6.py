@@ -63,8 +63,8 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
         f'W19 Fig. 6, {runs} runs, {study.stars:.1f} stars a frame',
         ('method', *(f'{criterion}, {count} ["]' for criterion in 'AB' for count in COUNTS)),
         rows, NOTES,
-        tuple(Panel(f'Criterion {name}', 'frames', 'RMSE ["]', tuple(curves), log='xy')
-              for name, curves in (('A', A), ('B', B))))
+        tuple(Panel(f'Criterion {name}', 'frames', 'RMSE ["]', tuple(curves), log=log)
+              for name, curves, log in (('A', A, 'xy'), ('B', B, 'x'))))
 
 
 def _bound(study: Study, frames: int) -> float:
