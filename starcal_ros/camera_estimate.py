@@ -41,7 +41,7 @@ class CameraEstimate:
 
 
 class CameraMethod(Protocol):
-    """A calibration in progress; one is made by ``start(scenario)`` of each calibration method."""
+    """A calibration in progress; ``start`` of each calibration method makes one."""
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples, in the order in which they arrived."""

@@ -55,6 +55,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import augmentation, camera, kalman, process_noise, rotation
+from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import ProcessNoiseConfig, Scenario, SigmaConfig
 from starcal_ros.measurements import Stars
 from starcal_ros.preintegration import Preintegrated
@@ -232,9 +233,18 @@ class Update(NamedTuple):
 
 
 class Filter:
-    """The filter of one scenario: its constants, and the steps as functions of a `Belief`."""
+    """The filter of one scenario: its constants, and the steps as functions of a `Belief`.
 
-    def __init__(self, scenario: Scenario) -> None:
+    Parameters
+    ----------
+    scenario : Scenario
+        Nominal values and estimator options.
+    known : CameraEstimate, optional
+        What another calibration found, from other frames; taken in place of the nominal camera
+        and its initial sigmas.
+    """
+
+    def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
         options = scenario.estimator
         self.detector = detector(scenario.camera)
         self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
@@ -243,21 +253,27 @@ class Filter:
         self.feedback = options.feedback
         augmented = augmentation.initial_sigma(options.augment)
         self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
-                             mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
+                             mounting_matrix(scenario.mounting),
+                             known.intrinsics if known else intrinsics(scenario.camera),
                              np.zeros_like(augmented))
         self.initial_sigma = np.concatenate((
             np.full(3, SIGMA_ACQUIRED), _vector(options.initial_sigma), augmented))
+        self.scale = _SCALES[:len(self.initial_sigma)]
+        self._initial_root = np.diag(self.initial_sigma / self.scale)
+        if known:
+            self.initial_sigma[LENS] = known.sigma
+            self._initial_root[LENS, LENS] = kalman.root(
+                known.covariance / np.outer(SCALE[LENS], SCALE[LENS]))
         self.tolerance = _vector(options.tolerance)
         self.density = _vector(options.process_noise) / 60.0        # of the walks, per sqrt(s)
         self.has_matrix = augmentation.has_matrix(len(augmented))
-        self.scale = _SCALES[:len(self.initial_sigma)]
         half = 0.5 * np.hypot(self.detector.width, self.detector.height) * self.detector.pitch_mm
         self._cos_field = float(np.cos(np.arctan(_FIELD * half / scenario.camera.focal_length_mm)))
 
     def begin(self, C_gi: Array) -> Belief:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
         batch, n, start = C_gi.shape[:-2], len(self.scale), self.start
-        root = np.broadcast_to(np.diag(self.initial_sigma / self.scale), (*batch, n, n))
+        root = np.broadcast_to(self._initial_root, (*batch, n, n))
         nominal = Nominal(C_gi, *(
             np.broadcast_to(part, (*batch, *part.shape))
             for part in (start.bias, start.C_sg, start.intrinsics, start.augmented)))

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from starcal_ros import augmentation, preintegration
 from starcal_ros.acquisition import AcquisitionError, acquire
+from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Update
 from starcal_ros.measurements import Frames, GyroSamples, Stars
@@ -102,10 +103,12 @@ class Stream:
     ----------
     scenario : Scenario
         Its nominal values, observer and estimator options; never its truth.
+    known : CameraEstimate, optional
+        As for `Filter`.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.filter = Filter(scenario)
+    def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
+        self.filter = Filter(scenario, known)
         self.counts = Counts()
         self.belief: Belief | None = None
         self.stamp_ns = 0                               # of the last frame processed

@@ -142,9 +142,9 @@ def _sigma(frames: Frames, stamp_ns: NDArray[np.int64], scenario: Scenario) -> A
     return np.where(sigma == 0.0, scenario.star_tracker.centroid_sigma_px, sigma)
 
 
-def start(scenario: Scenario) -> PredictedCentroid:
+def start(scenario: Scenario, known: CameraEstimate | None = None) -> PredictedCentroid:
     """Begin a calibration of which only the camera is asked for."""
-    return PredictedCentroid(scenario)
+    return PredictedCentroid(scenario, known)
 
 
 class PredictedCentroid:
@@ -154,10 +154,12 @@ class PredictedCentroid:
     ----------
     scenario : Scenario
         Nominal values and estimator options; all seven intrinsics are estimated.
+    known : CameraEstimate, optional
+        In place of the nominal camera, from other frames.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._stream = Stream(scenario)
+    def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
+        self._stream = Stream(scenario, known)
         self.add_gyro = self._stream.add_gyro
         self.add_frames = self._stream.add_frames
         self.take_notices = self._stream.take_notices

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 import json
 from pathlib import Path
 
-import starcal_ros
 from starcal_ros import parameter_file
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
@@ -64,9 +63,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     notices = [*recording.warnings, *stream.take_notices()]
     for text in notices:
         say(f'warning: {text}')
-    outcome = result.result(stream, {
-        'version': starcal_ros.__version__, 'config_sha256': scenario.sha256,
-        'bag': str(bag), 'bag_sha256': recording.sha256})
+    outcome = result.result(stream, result.provenance(scenario, recording))
     result.write_json(out, outcome)
     attached = recording.attachments.get(record.TRUTH_ATTACHMENT)
     truth = json.loads(attached) if attached else None

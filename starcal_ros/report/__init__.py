@@ -9,7 +9,7 @@ figure as PNG. `page` puts everything on one page of HTML: `time_charts` are its
 
 from starcal_ros.report.convergence import figure
 from starcal_ros.report.published import draw, published
-from starcal_ros.report.states import rows, summary, table
+from starcal_ros.report.states import camera, rows, summary, table
 from starcal_ros.report.study import study
 
-__all__ = ['draw', 'figure', 'published', 'rows', 'study', 'summary', 'table']
+__all__ = ['camera', 'draw', 'figure', 'published', 'rows', 'study', 'summary', 'table']
