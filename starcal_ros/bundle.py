@@ -107,7 +107,7 @@ class Adjusted:
 
 
 def adjust(spots: Spots, intrinsics: Array, C_si: Array, points: Array, pitch_mm: float,
-           prior_sigma: Array, gate: float) -> Adjusted:
+           prior_covariance: Array, gate: float) -> Adjusted:
     """Fit camera, attitudes and unknown directions.
 
     Parameters
@@ -121,12 +121,12 @@ def adjust(spots: Spots, intrinsics: Array, C_si: Array, points: Array, pitch_mm
         Where to begin; each is seen in two frames at least.
     pitch_mm : float
         Pixel pitch [mm].
-    prior_sigma : (7,) array
-        Standard deviation of the prior: 0 for an intrinsic that is held, infinite for none.
+    prior_covariance : (7, 7) array
+        Of the prior; an intrinsic of variance 0 is held.
     gate : float
         Largest chi-square of a spot, two degrees of freedom, in units of the residuals' scale.
     """
-    problem = _Problem(spots, intrinsics, pitch_mm, prior_sigma)
+    problem = _Problem(spots, intrinsics, pitch_mm, prior_covariance)
     state = _State(intrinsics, C_si, points)
     used = np.ones(len(spots.frame), bool)
     for robust in (True, False):
@@ -198,7 +198,7 @@ def _settle(problem: _Problem, state: _State, used: Mask, robust: bool) -> tuple
 
 def _cost(residual: Array, weight: Array, problem: _Problem, state: _State) -> float:
     misfit = np.sum((residual * weight[:, None])**2)
-    return float(misfit + np.sum((problem.prior * (state.intrinsics - problem.mean))**2))
+    return float(misfit + np.sum((problem.prior @ problem.offset(state))**2))
 
 
 def _enough(frame: Ints, used: Mask) -> Mask:
@@ -216,11 +216,13 @@ class _Step(NamedTuple):
 class _Problem:
     """The spots and the prior; residuals and normal equations of a state."""
 
-    def __init__(self, spots: Spots, mean: Array, pitch_mm: float, prior_sigma: Array) -> None:
+    def __init__(self, spots: Spots, mean: Array, pitch_mm: float,
+                 prior_covariance: Array) -> None:
         self.spots, self.mean, self.pitch_mm = spots, mean, pitch_mm
-        self.free = prior_sigma > 0.0
-        self.prior = np.zeros(7)
-        self.prior[self.free] = 1.0 / prior_sigma[self.free]
+        self.free = np.diag(prior_covariance) > 0.0
+        self.scale = SCALE[LENS][self.free]
+        block = prior_covariance[np.ix_(self.free, self.free)] / np.outer(self.scale, self.scale)
+        self.prior = np.linalg.inv(np.linalg.cholesky(block))       # a root of the information
         self.first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
         self.known = spots.point < 0
         self.pinned = self._pinned()
@@ -239,6 +241,10 @@ class _Problem:
         anchored = np.unique(group[np.unique(spots.frame[self.known])])
         label, first = np.unique(group, return_index=True)
         return first[~np.isin(label, anchored)].astype(np.int64)
+
+    def offset(self, state: _State) -> Array:
+        """Return how far the free intrinsics are from the prior's mean, in units of SCALE."""
+        return (state.intrinsics - self.mean)[self.free] / self.scale
 
     def directions(self, state: _State) -> Array:
         if self.known.all():
@@ -268,7 +274,7 @@ class _Problem:
         r_s = (state.C_si[spots.frame] @ u[..., None])[..., 0]
         _, H_a, H_c = camera.linearize(r_s, state.intrinsics, self.pitch_mm)
         w = weight[:, None, None]
-        H_a, H_c = w * H_a, w * H_c[..., self.free] * SCALE[LENS][self.free]
+        H_a, H_c = w * H_a, w * H_c[..., self.free] * self.scale
         z = np.zeros((len(weight), 2)) if residual is None else -residual * weight[:, None]
 
         def per_frame(left: Array, right: Array) -> Array:
@@ -276,10 +282,10 @@ class _Problem:
 
         N_aa = per_frame(H_a, H_a)
         N_aa[self.pinned] += np.eye(3) / _PINNED**2
-        prior = self.prior[self.free] * SCALE[LENS][self.free]
-        offset = (state.intrinsics - self.mean)[self.free] / SCALE[LENS][self.free]
-        N_cc = np.einsum('mij,mik->jk', H_c, H_c) + np.diag(prior**2)
-        b_c = np.einsum('mij,mi->j', H_c, z) + prior**2 * offset
+        known = self.prior.T @ self.prior
+        rows = H_c.reshape(-1, H_c.shape[-1])
+        N_cc = rows.T @ rows + known
+        b_c = rows.T @ z.reshape(-1) + known @ self.offset(state)
         d = np.flatnonzero(~self.known)
         H_d = np.empty((0, 2, 2))
         if p:

@@ -13,6 +13,7 @@ from starcal_ros.bundle import Spots, adjust
 PITCH, TRUE = 0.00645, np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
 GATE, SIGMA = float(chi2.ppf(0.9999, 2)), 0.05
 PRIOR = np.array([20.0, 20.0, 0.2, 1e-3, 1e-5, 1e-4, 1e-4])
+PRIOR_P, WIDE = np.diag(PRIOR**2), np.diag((1e3 * PRIOR)**2)
 START = TRUE + np.array([-5.0, -10.0, -0.1, -2e-4, 1e-6, -2e-5, -2e-5])
 NO_POINTS = np.empty((0, 3))
 
@@ -48,10 +49,10 @@ def jittered(C, rng, angle=1e-3):
 def test_without_noise_the_camera_is_found_exactly():
     rng = np.random.default_rng(1)
     spots, C_si, u, star = scene(rng, 12, 60, sigma=0.0)
-    known = adjust(spots, START, jittered(C_si, rng), NO_POINTS, PITCH, np.full(7, np.inf), GATE)
+    known = adjust(spots, START, jittered(C_si, rng), NO_POINTS, PITCH, WIDE, GATE)
     np.testing.assert_allclose(known.intrinsics, TRUE, rtol=1e-6, atol=1e-10)
     nameless, seen = without_places(spots, star)
-    free = adjust(nameless, START, jittered(C_si, rng), u[seen], PITCH, np.full(7, np.inf), GATE)
+    free = adjust(nameless, START, jittered(C_si, rng), u[seen], PITCH, WIDE, GATE)
     np.testing.assert_allclose(free.intrinsics, TRUE, rtol=1e-5, atol=1e-8)
     assert np.abs(known.residual).max() < 1e-6 and np.abs(free.residual).max() < 1e-6
 
@@ -81,7 +82,7 @@ def test_it_is_the_least_squares_fit_of_all_unknowns(named):
 
     best = least_squares(misfit, np.zeros(19 + 2 * len(points)), '3-point', x_scale='jac',
                          xtol=1e-12)
-    found = adjust(spots, TRUE, C_si, points, PITCH, PRIOR, np.inf)
+    found = adjust(spots, TRUE, C_si, points, PITCH, PRIOR_P, np.inf)
     covariance = np.linalg.inv(best.jac.T @ best.jac)[:7, :7] * np.outer(scale, scale)
     sigma = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose((found.intrinsics - TRUE) / sigma, scale * best.x[:7] / sigma,
@@ -101,7 +102,7 @@ def test_covariance_says_the_truth(named):
         if not named:
             spots, seen = without_places(spots, star)
             points = u[seen]
-        found = adjust(spots, start, jittered(C_si, rng), points, PITCH, PRIOR, GATE)
+        found = adjust(spots, start, jittered(C_si, rng), points, PITCH, PRIOR_P, GATE)
         error = found.intrinsics - TRUE
         total += error @ np.linalg.solve(found.covariance, error)
     low, high = chi2.ppf([0.0005, 0.9995], 7 * runs) / runs
@@ -112,7 +113,7 @@ def test_what_is_held_stays():
     rng = np.random.default_rng(4)
     spots, C_si, *_ = scene(rng, 8, 40)
     prior = PRIOR * [1, 1, 1, 1, 0, 0, 0]
-    found = adjust(spots, START, C_si, NO_POINTS, PITCH, prior, GATE)
+    found = adjust(spots, START, C_si, NO_POINTS, PITCH, np.diag(prior**2), GATE)
     assert (found.intrinsics[4:] == START[4:]).all() and not found.covariance[4:].any()
     assert (np.diag(found.covariance)[:4] > 0.0).all()
 
@@ -125,9 +126,9 @@ def test_wrong_stars_are_let_go():
     places = spots.u_i.copy()
     places[wrong] = np.roll(places, 7, axis=0)[wrong]
     start = bundle.attitudes(spots, camera.unproject(spots.uv, START, PITCH), 20)
-    found = adjust(spots._replace(u_i=places), START, start, NO_POINTS, PITCH, PRIOR, GATE)
+    found = adjust(spots._replace(u_i=places), START, start, NO_POINTS, PITCH, PRIOR_P, GATE)
     alone = adjust(Spots(*(part[~wrong] for part in spots)), START, start, NO_POINTS, PITCH,
-                   PRIOR, GATE)
+                   PRIOR_P, GATE)
     assert not found.used[wrong].any() and found.used[~wrong].mean() > 0.998
     sigma = np.sqrt(np.diag(alone.covariance))
     np.testing.assert_allclose((found.intrinsics - alone.intrinsics) / sigma, 0.0, atol=2e-3)
@@ -144,7 +145,7 @@ def test_groups_that_share_no_star_each_keep_one_attitude():
         (nameless.point, nameless.point + count))))
     turn = rotation.exp(np.array([0.3, -0.2, 1.0]))
     found = adjust(twice, START, np.concatenate((C_si, C_si @ turn.T)),
-                   np.concatenate((u[seen], u[seen] @ turn.T)), PITCH, PRIOR * 1e3, GATE)
+                   np.concatenate((u[seen], u[seen] @ turn.T)), PITCH, WIDE, GATE)
     np.testing.assert_allclose(found.intrinsics, TRUE, rtol=1e-5, atol=1e-8)
 
 
