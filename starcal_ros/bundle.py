@@ -35,6 +35,8 @@ from scipy.sparse.linalg import splu
 
 from starcal_ros import camera, rotation
 from starcal_ros.estimator import LENS, SCALE
+from starcal_ros.measurements import Frames
+from starcal_ros.places import Placed
 from starcal_ros.units import ARCSEC
 
 Array = NDArray[np.float64]
@@ -139,7 +141,17 @@ def adjust(spots: Spots, intrinsics: Array, C_si: Array, points: Array, pitch_mm
     return Adjusted(state.intrinsics, covariance, state.C_si, state.points, residual, used, scale)
 
 
-def attitudes(spots: Spots, r_s: Array, n_frames: int) -> Array:
+def identified(frames: Frames, placed: Placed) -> Spots:
+    """Return the stars with a place, of the frames that have enough of them."""
+    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+    usable = np.isfinite(placed.stars.sigma)
+    usable &= np.bincount(frame, usable, len(frames))[frame] >= MIN_STARS
+    u_i, uv, sigma = (part[usable] for part in placed.stars)
+    number = np.unique(frame[usable], return_inverse=True)[1]
+    return Spots(number, uv, sigma, u_i, np.full(len(number), -1))
+
+
+def attitudes(spots: Spots, r_s: Array) -> Array:
     """Return the attitude C_si, (n, 3, 3), of each frame by Wahba's problem (Markley 1988).
 
     Parameters
@@ -148,9 +160,8 @@ def attitudes(spots: Spots, r_s: Array, n_frames: int) -> Array:
         With places.
     r_s : (m, 3) array
         Measured directions of the spots.
-    n_frames : int
     """
-    B = np.zeros((n_frames, 3, 3))
+    B = np.zeros((int(spots.frame[-1]) + 1, 3, 3))
     np.add.at(B, spots.frame, r_s[:, :, None] * spots.u_i[:, None, :])
     return wahba(B)
 
@@ -283,7 +294,7 @@ class _Problem:
         N_aa = per_frame(H_a, H_a)
         N_aa[self.pinned] += np.eye(3) / _PINNED**2
         known = self.prior.T @ self.prior
-        rows = H_c.reshape(-1, H_c.shape[-1])
+        rows = H_c.reshape(2 * len(weight), len(self.scale))
         N_cc = rows.T @ rows + known
         b_c = rows.T @ z.reshape(-1) + known @ self.offset(state)
         d = np.flatnonzero(~self.known)

@@ -125,7 +125,7 @@ def test_wrong_stars_are_let_go():
     wrong = rng.random(len(spots.frame)) < 0.1
     places = spots.u_i.copy()
     places[wrong] = np.roll(places, 7, axis=0)[wrong]
-    start = bundle.attitudes(spots, camera.unproject(spots.uv, START, PITCH), 20)
+    start = bundle.attitudes(spots, camera.unproject(spots.uv, START, PITCH))
     found = adjust(spots._replace(u_i=places), START, start, NO_POINTS, PITCH, PRIOR_P, GATE)
     alone = adjust(Spots(*(part[~wrong] for part in spots)), START, start, NO_POINTS, PITCH,
                    PRIOR_P, GATE)
@@ -152,7 +152,7 @@ def test_groups_that_share_no_star_each_keep_one_attitude():
 def test_attitudes_solve_wahbas_problem():
     rng = np.random.default_rng(7)
     spots, C_si, *_ = scene(rng, 5, 30, sigma=0.0)
-    found = bundle.attitudes(spots, camera.unproject(spots.uv, TRUE, PITCH), 5)
+    found = bundle.attitudes(spots, camera.unproject(spots.uv, TRUE, PITCH))
     np.testing.assert_allclose(found, C_si, atol=1e-9)
     mirrored = bundle.wahba(np.diag([1.0, 1.0, -1.0]))
     assert np.linalg.det(mirrored) == pytest.approx(1.0)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from starcal_ros import camera
-from starcal_ros.bundle import MIN_STARS, Adjusted, Spots, adjust, attitudes
+from starcal_ros.bundle import Adjusted, adjust, attitudes, identified
 from starcal_ros.camera_estimate import CameraEstimate, beginning
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, GyroSamples
@@ -58,31 +58,22 @@ class Bundle:
 
     def estimate(self) -> CameraEstimate | None:
         """Adjust the camera to all frames so far; None while no frame has stars enough."""
-        spots = self._spots(Frames.concatenate(self._frames))
+        frames = Frames.concatenate(self._frames)
+        placed = self._places.of(frames)
+        for key, text in placed.notices:
+            self._notice(key, text)
+        spots = identified(frames, placed)
         if not len(spots.frame):
             return None
-        n = int(spots.frame[-1]) + 1
         begin = self._prior.intrinsics if self.adjusted is None else self.adjusted.intrinsics
-        C_si = attitudes(spots, camera.unproject(spots.uv, begin, self._pitch_mm), n)
+        C_si = attitudes(spots, camera.unproject(spots.uv, begin, self._pitch_mm))
         self.adjusted = adjust(spots, self._prior.intrinsics, C_si, np.empty((0, 3)),
                                self._pitch_mm, self._prior.covariance, self._gate)
         refused = int((~self.adjusted.used).sum())
         if refused:
             self._notice('refused', f'{refused} of {len(spots.frame)} stars refused')
-        return CameraEstimate(self.adjusted.intrinsics, self.adjusted.covariance, n,
-                              len(spots.frame) - refused)
-
-    def _spots(self, frames: Frames) -> Spots:
-        """Return the identified stars of the frames that have enough of them."""
-        placed = self._places.of(frames)
-        for key, text in placed.notices:
-            self._notice(key, text)
-        frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-        usable = np.isfinite(placed.stars.sigma)
-        usable &= np.bincount(frame, usable, len(frames))[frame] >= MIN_STARS
-        u_i, uv, sigma = (part[usable] for part in placed.stars)
-        number = np.unique(frame[usable], return_inverse=True)[1]
-        return Spots(number, uv, sigma, u_i, np.full(len(number), -1))
+        return CameraEstimate(self.adjusted.intrinsics, self.adjusted.covariance,
+                              len(self.adjusted.C_si), len(spots.frame) - refused)
 
     def _notice(self, key: object, text: str) -> None:
         if key not in self._named:

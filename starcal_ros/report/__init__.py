@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a person reads of a calibration.
 
-`states` has the table of the calibrated states, `study` that of a Monte Carlo, `convergence` the
-figure as PNG. `page` puts everything on one page of HTML: `time_charts` are its charts over time,
-`detector_charts` those over the detector and of the residuals.
+`states` has the table of the calibrated states, `cameras` those of a camera alone, `study` that of
+a Monte Carlo, `published` what a paper has, `convergence` the figure as PNG. `page` puts everything
+on one page of HTML: `time_charts` are its charts over time, `detector_charts` those over the
+detector and of the residuals.
 """
 
+from starcal_ros.report.cameras import camera, plates
 from starcal_ros.report.convergence import figure
 from starcal_ros.report.published import draw, published
-from starcal_ros.report.states import camera, rows, summary, table
+from starcal_ros.report.states import rows, summary, table
 from starcal_ros.report.study import study
 
-__all__ = ['camera', 'draw', 'figure', 'published', 'rows', 'study', 'summary', 'table']
+__all__ = ['camera', 'draw', 'figure', 'plates', 'published', 'rows', 'study', 'summary', 'table']

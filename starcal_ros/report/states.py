@@ -88,27 +88,6 @@ def table(states: Sequence[Row], title: str) -> Table:
     return out
 
 
-def camera(result: dict[str, Any], truth: dict[str, Any] | None, title: str) -> Table:
-    """Return the camera of a result of ``starcal intrinsics`` as a table."""
-    out = Table(title=title, caption='{frames} frames, {stars} stars used'.format(
-        **result['counts']))
-    columns = ('state', 'unit', 'truth', 'estimate', 'error', 'sigma', 'error/sigma')
-    for column in columns if truth else ('state', 'unit', 'estimate', 'sigma'):
-        out.add_column(column, justify='left' if column in ('state', 'unit') else 'right',
-                       no_wrap=True)
-    for label, unit, key in zip(LABELS[6:], UNITS[6:], INTRINSICS_KEYS):
-        value, sigma = result['intrinsics'][key], result['intrinsics_sigma'][key]
-        true = truth['intrinsics'][key] if truth else np.nan
-        row = Row(label, unit, true, value, value - true, sigma)
-        held = sigma == 0.0
-        cells = [row.places(value), 'held' if held else short(sigma)]
-        if truth:
-            cells = [row.places(true), cells[0], short(row.error), cells[1],
-                     '' if held else f'{row.error / sigma:+.2f}']
-        out.add_row(label, unit, *cells)
-    return out
-
-
 def summary(result: dict[str, Any]) -> str:
     """Return one sentence on what a RESULT.json rests on."""
     counts, (u, v) = result['counts'], result['reprojection_rms_px']
