@@ -3,9 +3,9 @@
 """What a person reads of a calibration.
 
 `states` has the table of the calibrated states, `cameras` those of a camera alone, `study` that of
-a Monte Carlo, `published` what a paper has, `convergence` the figure as PNG. `page` puts everything
-on one page of HTML: `time_charts` are its charts over time, `detector_charts` those over the
-detector and of the residuals.
+a Monte Carlo, `published` what a paper has, `convergence` the figure as PNG. `page` puts all of a
+calibration on one page of HTML (`html`), `plate_page` that of still images: `time_charts` are
+charts over time, `detector_charts` those over the detector and of the residuals.
 """
 
 from starcal_ros.report.cameras import camera, plates
