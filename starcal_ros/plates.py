@@ -15,14 +15,14 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import bundle, calibration, camera, config
-from starcal_ros.bundle import Adjusted
+from starcal_ros.bundle import Adjusted, Spots
 from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames
@@ -63,6 +63,36 @@ class Plates:
     frames: Frames
     heldout: NDArray[np.bool_]
 
+    def which(self, part: NDArray[np.bool_]) -> Plates:
+        """Return some of the images."""
+        rows = np.flatnonzero(part).tolist()
+        return Plates(tuple(self.names[k] for k in rows),
+                      Frames.concatenate([self.frames[k:k + 1] for k in rows]),
+                      self.heldout[part])
+
+
+class Refit(NamedTuple):
+    """Some images, their attitudes fitted with a camera that is held.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Images.
+    spots : Spots
+        Their stars.
+    adjusted : Adjusted
+        With the residuals.
+    """
+
+    names: tuple[str, ...]
+    spots: Spots
+    adjusted: Adjusted
+
+    @property
+    def rms_px(self) -> float:
+        """RMS residual of an axis, of the stars inside the gate [px]."""
+        return float(np.sqrt(np.mean(self.adjusted.residual[self.adjusted.used]**2)))
+
 
 @dataclass(frozen=True)
 class PlateCamera:
@@ -74,16 +104,16 @@ class PlateCamera:
         In units of PITCH_MM.
     sigma_px : float
         Of a centroid, each axis, as the residuals have it [px].
-    fit, heldout : Adjusted or None
-        The images that took part and those that did not, the attitudes alone fitted.
+    fit, heldout : Refit or None
+        The images that took part and those that did not.
     scenario : Scenario
         What the method began with.
     """
 
     estimate: CameraEstimate
     sigma_px: float
-    fit: Adjusted
-    heldout: Adjusted | None
+    fit: Refit
+    heldout: Refit | None
     scenario: Scenario
 
     def as_dict(self) -> dict[str, Any]:
@@ -93,11 +123,12 @@ class PlateCamera:
         return {
             **dict(zip(KEYS, values.tolist())), 'sigma': dict(zip(KEYS, sigma.tolist())),
             'parameters': list(KEYS), 'covariance': covariance.tolist(),
-            'centroid_sigma_px': self.sigma_px, 'fit_rms_px': rms(self.fit),
-            'heldout_rms_px': rms(self.heldout) if self.heldout else None,
+            'centroid_sigma_px': self.sigma_px, 'fit_rms_px': self.fit.rms_px,
+            'heldout_rms_px': self.heldout.rms_px if self.heldout else None,
             'counts': {'images': self.estimate.frames, 'stars': self.estimate.stars,
-                       'refused_stars': int((~self.fit.used).sum()),
-                       'heldout_stars': len(self.heldout.used) if self.heldout else 0}}
+                       'refused_stars': int((~self.fit.adjusted.used).sum()),
+                       'heldout_stars': (int(self.heldout.adjusted.used.sum())
+                                         if self.heldout else 0)}}
 
 
 def read_centroids(path: str | Path, epoch_utc: str) -> Plates:
@@ -206,41 +237,41 @@ def calibrate(images: Plates, scenario: Scenario) -> PlateCamera | None:
     The size of the residuals is not known beforehand: the method runs again with what it was.
     None where the method has nothing to say.
     """
-    frames = images.frames
-    fitted = [frames[k:k + 1] for k in np.flatnonzero(~images.heldout).tolist()]
-    held = [frames[k:k + 1] for k in np.flatnonzero(images.heldout).tolist()]
+    fitted, held = (images.which(part) for part in (~images.heldout, images.heldout))
     result = None
     for _ in range(2):
         method = calibration.start(scenario)
-        method.add_frames(Frames.concatenate(fitted))
+        method.add_frames(fitted.frames)
         estimate = method.estimate()
         if estimate is None:
             return None
-        fit = refit(Frames.concatenate(fitted), estimate, scenario)
+        fit = refit(fitted, estimate, scenario)
         assert fit is not None          # or there would be no estimate
-        freedom = 2 * fit.used.sum() - 3 * len(fit.C_si) - np.count_nonzero(estimate.sigma)
-        sigma = float(np.sqrt(np.sum(fit.residual[fit.used]**2) / max(freedom, 1)))
-        result = PlateCamera(estimate, sigma, fit,
-                             refit(Frames.concatenate(held), estimate, scenario), scenario)
+        adjusted = fit.adjusted
+        freedom = (2 * adjusted.used.sum() - 3 * len(adjusted.C_si)
+                   - np.count_nonzero(estimate.sigma))
+        sigma = float(np.sqrt(np.sum(adjusted.residual[adjusted.used]**2) / max(freedom, 1)))
+        result = PlateCamera(estimate, sigma, fit, refit(held, estimate, scenario), scenario)
         scenario = scenario.replace({'star_tracker.centroid_sigma_px': max(sigma, 1e-4)})
     return result
 
 
-def refit(frames: Frames, estimate: CameraEstimate, scenario: Scenario) -> Adjusted | None:
+def refit(images: Plates, estimate: CameraEstimate, scenario: Scenario) -> Refit | None:
     """Fit the attitudes alone, the camera held; None where no image has stars enough."""
-    spots = bundle.identified(frames, Places(scenario).of(frames))
+    frames = images.frames
+    placed = Places(scenario).of(frames)
+    spots = bundle.identified(frames, placed)
     if not len(spots.frame):
         return None
+    image = np.repeat(np.arange(len(frames)), frames.star_counts)
+    enough = np.bincount(image, np.isfinite(placed.stars.sigma),
+                         len(frames)) >= bundle.MIN_STARS
     pitch_mm = scenario.camera.pixel_pitch_mm
     r_s = camera.unproject(spots.uv, estimate.intrinsics, pitch_mm)
-    return bundle.adjust(
+    adjusted = bundle.adjust(
         spots, estimate.intrinsics, bundle.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
         np.zeros((7, 7)), float(chi2.ppf(scenario.estimator.gate_probability, 2)))
-
-
-def rms(fit: Adjusted) -> float:
-    """Return the RMS residual of an axis, of the stars inside the gate [px]."""
-    return float(np.sqrt(np.mean(fit.residual[fit.used]**2)))
+    return Refit(tuple(np.array(images.names)[enough].tolist()), spots, adjusted)
 
 
 def opencv(estimate: CameraEstimate, scenario: Scenario) -> tuple[Array, Array]:

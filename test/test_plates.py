@@ -79,6 +79,19 @@ def test_residuals_are_the_noise_of_the_centroids(found):
     assert found['counts']['images'] == 10 and found['counts']['heldout_stars'] > 50
 
 
+def test_page_shows_each_image_and_escapes_its_name(tmp_path):
+    path = write(tmp_path / 'stars.csv', 4, held=(2,))
+    path.write_text(path.read_text().replace('1.png', '<b>.png'))
+    page = tmp_path / 'page.html'
+    assert main(['intrinsics', '--centroids', str(path), '--width', str(WIDTH), '--height',
+                 str(HEIGHT), '--report', str(page)]) == 0
+    text = page.read_text()
+    assert '&lt;b&gt;.png' in text and '<b>.png' not in text
+    assert all(f'<section id="{name}">' in text for name in (
+        'camera', 'fit', 'heldout', 'distortion', 'coupling', 'notices'))
+    assert text.count('<figure') == 8
+
+
 def test_covariance_goes_over_to_opencv_as_differences_say():
     rng = np.random.default_rng(2)
     values = intrinsics(**TRUE)

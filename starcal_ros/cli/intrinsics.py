@@ -43,6 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             '--' + name.replace('_', '-'), type=parameter.element, dest=name,
             nargs='+' if parameter.is_array else None, metavar=name.upper(),
             help=f'{parameter.spec.text}{allowed}; default: intrinsics.{name}')
+    parser.add_argument('--report', metavar='HTML',
+                        help='write the report of a camera from images, on one page')
     images = parser.add_argument_group('images in place of a recording')
     images.add_argument('--centroids', metavar='STARS.csv',
                         help='identified stars: image, u, v, catalog_id, optionally split '
@@ -62,13 +64,15 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     if bool(options.bag) == bool(options.centroids):
         raise ConfigError('intrinsics: needs either BAG or --centroids STARS.csv')
-    out = Path(options.out) if options.out else None
-    if out is not None:
-        arguments.require_writable(out)
+    if options.bag and options.report:
+        raise ConfigError('--report: is for images; starcal calibrate reports on a recording')
+    for path in (options.out, options.report):
+        if path:
+            arguments.require_writable(Path(path))
     outcome = _of_recording(options) if options.bag else _of_plates(options)
-    if out is not None:
+    if options.out:
         from starcal_ros import result
-        result.write_json(out, outcome)
+        result.write_json(options.out, outcome)
     return 0
 
 
@@ -122,8 +126,12 @@ def _of_plates(options: argparse.Namespace) -> dict[str, Any]:
         raise result.CalibrationError(
             f'{options.centroids}: no camera from {len(images.names)} images with '
             f'{len(images.frames.catalog_id)} stars')
-    outcome = {'method': scenario.intrinsics.method, **found.as_dict()}
+    outcome = {'method': scenario.intrinsics.method, 'source': options.centroids,
+               **found.as_dict()}
     show(report.plates(outcome, f'Camera of {options.centroids}, {outcome["method"]}'))
+    if options.report:
+        from starcal_ros.report.plate_page import write_plate_page
+        write_plate_page(options.report, found, outcome, [])
     return outcome
 
 

@@ -42,11 +42,15 @@ def plates(result: dict[str, Any], title: str) -> Table:
         f'refused; residual of an axis {result["fit_rms_px"]:.4f} px'
         + ('' if heldout is None else f', {heldout:.4f} px on held-out images'))
     for key in result['parameters']:
-        name, _, unit = key.partition('_')
-        row = Row(name, unit, np.nan, result[key], np.nan, result['sigma'][key])
-        out.add_row(name, unit, row.places(row.estimate),
-                    short(row.sigma) if row.sigma else 'held')
+        out.add_row(*entry(result, key))
     return out
+
+
+def entry(result: dict[str, Any], key: str) -> list[str]:
+    """Return parameter, unit, estimate and sigma of the camera of still images, as text."""
+    name, _, unit = key.partition('_')
+    row = Row(name, unit, np.nan, result[key], np.nan, result['sigma'][key])
+    return [name, unit, row.places(row.estimate), short(row.sigma) if row.sigma else 'held']
 
 
 def _table(title: str, columns: tuple[str, ...]) -> Table:
