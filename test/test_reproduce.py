@@ -9,15 +9,26 @@ import pytest
 
 from starcal_ros import cli, parameter_file
 from starcal_ros.estimator import CALIBRATED, STATE_NAMES
-from starcal_ros.evaluation import published
+from starcal_ros.evaluation import published, real_images
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
+SKY = Path(__file__).parents[2] / 'shared' / 'data' / 'real_sky'
 SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 6.0})
+
+
+@pytest.fixture(autouse=True, scope='module')
+def real_sky():
+    """Say where the star images of others are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(real_images.VARIABLE, str(SKY))
+        yield
 
 
 @pytest.fixture(scope='module', params=published.names())
 def outcome(request, tmp_path_factory):
     """Return what a table gives in a run that is far too short."""
+    if request.param in ('real-sky', 'half-real') and not SKY.is_dir():
+        pytest.skip(f'{SKY} is not there')
     return published.load(request.param).reproduce(
         SCENARIO, 2, tmp_path_factory.mktemp('work'), lambda part: None)
 
@@ -55,6 +66,21 @@ def test_command_prints_the_table_and_writes_it(tmp_path, capsys):
     assert table['title'] in capsys.readouterr().out
     assert table['rows'][0]['state'] == 'epsilon_x'
     assert list(tmp_path.iterdir()) == [out]
+
+
+def test_real_skies_are_met_by_the_bundle(tmp_path):
+    if not SKY.is_dir():
+        pytest.skip(f'{SKY} is not there')
+    outcome = published.load('real-sky').reproduce(SCENARIO, 1, tmp_path, lambda part: None)
+    heldout = {row[0]: row[outcome.columns.index('held out (px)')] for row in outcome.rows
+               if row[1] == 'bundle'}
+    assert heldout['tomc16'] <= 0.10 and heldout['granasat'] <= 0.14
+
+
+def test_images_that_are_not_there_are_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv(real_images.VARIABLE, str(tmp_path))
+    assert cli.main(['reproduce', 'real-sky', '--out', str(tmp_path / 'x.json')]) == 2
+    assert real_images.VARIABLE in capsys.readouterr().err
 
 
 def test_unknown_table_is_refused_with_the_known_ones(capsys):

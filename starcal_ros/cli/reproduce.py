@@ -10,8 +10,9 @@ from pathlib import Path
 import shutil
 
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import progress, show
+from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.evaluation import published
+from starcal_ros.parameter import ConfigError
 
 SUMMARY = "compare with a paper's table or figure"
 DESCRIPTION = ('Run what a table or figure of a paper was made from, and put its numbers beside '
@@ -40,9 +41,14 @@ def run(options: argparse.Namespace) -> int:
     outcomes = {}
     for name in published.names() if options.name == 'all' else [options.name]:
         study = published.load(name)
-        with progress(name) as on_progress:
-            outcomes[name] = study.reproduce(
-                scenario, options.runs or study.RUNS, parts, on_progress)
+        try:
+            with progress(name) as on_progress:
+                outcomes[name] = study.reproduce(
+                    scenario, options.runs or study.RUNS, parts, on_progress)
+        except ConfigError as error:        # data that are no part of this package are not there
+            if options.name != 'all':
+                raise
+            say(f'{name} is left out: {error}')
     from starcal_ros import report
     for name, outcome in outcomes.items():
         show(report.published(outcome))
