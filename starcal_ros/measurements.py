@@ -96,6 +96,16 @@ class Frames:
                       self.uv_raster[low:high], self.sigma[low:high],
                       self.magnitude[low:high], self.catalog_id[low:high])
 
+    def which(self, chosen: NDArray[np.bool_]) -> Frames:
+        """Return some of the frames, (n_frames,) bool, in their order."""
+        if chosen.all():
+            return self
+        counts = self.star_counts
+        stars = np.repeat(chosen, counts)
+        return Frames(self.stamp_ns[chosen], np.concatenate(([0], np.cumsum(counts[chosen]))),
+                      self.uv_raster[stars], self.sigma[stars], self.magnitude[stars],
+                      self.catalog_id[stars])
+
     @property
     def star_counts(self) -> NDArray[np.int64]:
         """Number of stars in each frame, (n_frames,)."""

@@ -15,6 +15,7 @@ from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, Stars
 from starcal_ros.scenario import detector, observer
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SIGMA_PX = (1e-4, 1e3)
@@ -57,15 +58,23 @@ class Places:
         self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
         self._observer = observer(scenario.observer)
 
+    def centroids(self, frames: Frames) -> tuple[Array, Array, Mask]:
+        """Return the centroids (n, 2) from the centre of the detector, their sigmas [px], (n,).
+
+        And which can be used, (n,) bool, whoever's star they are.
+        """
+        uv = frames.uv_raster - self._detector.centre_raster
+        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
+        measured = (self._detector.contains(uv / _OUTSIDE)
+                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        return uv, sigma, measured
+
     def of(self, frames: Frames) -> Placed:
         """Return the stars of many frames."""
         stars = catalog.load_containing(frames.catalog_id)
         row = stars.rows(frames.catalog_id)
         frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-        uv = frames.uv_raster - self._detector.centre_raster
-        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
-        measured = (self._detector.contains(uv / _OUTSIDE)
-                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        uv, sigma, measured = self.centroids(frames)
         usable = measured & (row >= 0)
         u_i = np.tile([0.0, 0.0, 1.0], (len(uv), 1))
         u_i[usable] = sky.apparent_places(
@@ -76,7 +85,7 @@ class Places:
             measured, list(_notices(frames, frame, sigma, measured, row)))
 
 
-def _notices(frames: Frames, frame: NDArray[np.int64], sigma: NDArray[np.float64], measured: Mask,
+def _notices(frames: Frames, frame: NDArray[np.int64], sigma: Array, measured: Mask,
              row: NDArray[np.int64]) -> Iterator[tuple[object, str]]:
     for k in np.flatnonzero(~measured)[:1]:
         u, v = frames.uv_raster[k]
