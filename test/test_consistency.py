@@ -18,6 +18,7 @@ from starcal_ros.measurements import Frames
 from starcal_ros.places import Places
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.stream import Stream
 
 # Once through the rotations, after which the initial sigmas count for nothing.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(

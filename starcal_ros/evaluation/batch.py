@@ -82,7 +82,7 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    index : int
+    number : int
         Of the frame, from 0.
     stamp_ns : int
         Its stamp.
@@ -96,7 +96,7 @@ class Step(NamedTuple):
         What the frame did.
     """
 
-    index: int
+    number: int
     stamp_ns: int
     gyro: Preintegrated | None
     stars: Stars
@@ -250,21 +250,21 @@ class _Tally:
 
     def add(self, step: Step) -> None:
         """Take what one frame gave."""
-        update, index = step.update, step.index
+        update, number = step.update, step.number
         self._nis += update.nis
         self._degrees += 2.0 * update.accepted.sum(axis=-1)
-        if index >= self._last_minutes:
+        if number >= self._last_minutes:
             residual = np.where(update.accepted[..., None], update.residual, 0.0)
             self._squares += np.sum(residual**2, axis=-2)
             self._used += update.accepted.sum(axis=-1)
-        second_half, kept = 2 * index >= self._frames, (index + 1) % self._every == 0
-        if not (second_half or kept or index + 1 == self._frames):
+        second_half, kept = 2 * number >= self._frames, (number + 1) % self._every == 0
+        if not (second_half or kept or number + 1 == self._frames):
             return
         belief, true = update.belief, nominal(self._truth, step.stamp_ns)
         estimate = belief.estimate
         if second_half:
             self._phi += attitude_error(estimate.C_gi, true)**2
-        if kept or index + 1 == self._frames:
+        if kept or number + 1 == self._frames:
             self._time.append((step.stamp_ns - self._truth.motion.start_ns) * NS)
             self._error.append(state_error(estimate, true))
             self._sigma.append(belief.sigma)

@@ -43,14 +43,14 @@ _BATCH = 500            # frames taken at once
 _STEP_S = 0.02          # of the quadrature of C_ig; a slew turns by 0.01 deg in it
 
 
-def after(scenario: Scenario, times: Sequence[float]) -> Array:
+def after(scenario: Scenario, times: Sequence[float] | Array) -> Array:
     """Return the bound on the covariance of T18's 16 states at some times, (m, 16, 16).
 
     Parameters
     ----------
     scenario : Scenario
         Its own duration does not matter.
-    times : sequence of float
+    times : (m,) sequence
         Since the start, each after a first frame at least [s]. A bound is that of a run of this
         length, after its last frame.
 
@@ -59,7 +59,7 @@ def after(scenario: Scenario, times: Sequence[float]) -> Array:
     covariance : (m, 16, 16) array
         In the filter's units.
     """
-    tracker = sensors.star_tracker(scenario.replace({'simulation.duration_s': max(times)}))
+    tracker = sensors.star_tracker(scenario.replace({'simulation.duration_s': float(max(times))}))
     frames = tracker.next(tracker.count)
     stars = catalog.load(scenario.star_tracker.limiting_magnitude)
     u_i = sky.apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
