@@ -62,5 +62,6 @@ def _panel(title: str, unit: str, minutes: Array, error: Array, sigma: Array, fi
            ) -> Panel:
     settled = 5.0 * float(sigma[len(sigma) // 5])
     return Panel(title, 'time [min]', f'estimate minus truth [{unit}]', (
-        Curve(minutes, np.zeros_like(minutes), '3 sigma' if first else '', 'limit', 3.0 * sigma),
+        Curve(minutes, np.zeros_like(minutes), '0 ± 3 sigma' if first else '', 'limit',
+              3.0 * sigma),
         Curve(minutes, error, 'error' if first else '')), y_limits=(-settled, settled))

@@ -40,7 +40,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
                   200.0 * float(norm.sf(k))) for k in (1, 2, 3)]
         panels += [_panel(f'{axis}, stars {name}', residual[:, k], spread)
                    for k, axis in enumerate('uv')]
-    return Outcome(f'T18 Fig. 7, distributions of the reprojection errors of {runs} runs', COLUMNS,
+    return Outcome(f'T18 Fig. 7, distributions of the reprojection errors, {runs} runs', COLUMNS,
                    tuple(rows), (NOT_STATED, NO_NUMBERS, HELD_OUT), tuple(panels))
 
 

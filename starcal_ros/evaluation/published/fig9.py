@@ -13,7 +13,7 @@ from starcal_ros.config import Scenario
 from starcal_ros.estimator import STATE_NAMES
 from starcal_ros.evaluation import traces
 from starcal_ros.evaluation.outcome import Array, Curve, Outcome, Panel
-from starcal_ros.evaluation.published import BESIDE, NOT_STATED
+from starcal_ros.evaluation.published import BESIDE, NOT_STATED, chance
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.verdict import equivalent
 
@@ -46,8 +46,9 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
                f'our runs, each alone, {NAMES[0]} has {least[0]:.4f} to {most[0]:.4f} px, '
                f'{NAMES[1]} {least[1]:.4f} to {most[1]:.4f} px.')
     return Outcome(
-        f'T18 Fig. 9, equivalent principal point, RMS of {runs} runs', BESIDE, tuple(rows),
-        (NOT_STATED, one_run), (*_errors(trace, error[0]), *_couplings(trace)))
+        f'T18 Fig. 9, equivalent principal point; drawn: one run, table: RMS of {runs}', BESIDE,
+        tuple(rows), (NOT_STATED, one_run, chance(runs)),
+        (*_errors(trace, error[0]), *_couplings(trace)))
 
 
 def _errors(trace: traces.Traces, error: Array) -> list[Panel]:
@@ -56,7 +57,7 @@ def _errors(trace: traces.Traces, error: Array) -> list[Panel]:
     for k, (name, part) in enumerate(zip(NAMES, ('u0', 'v0'))):
         settled = 5.0 * float(sigma[len(minutes) // 5, k])
         panels.append(Panel(f'{name}, one run', 'time [min]', 'estimate minus truth [px]', (
-            Curve(minutes, np.zeros_like(minutes), '3 sigma', 'limit', 3.0 * sigma[:, k]),
+            Curve(minutes, np.zeros_like(minutes), '0 ± 3 sigma', 'limit', 3.0 * sigma[:, k]),
             Curve(minutes, trace.error[0, :, STATE_NAMES.index(part)], f'd{part} alone'),
             Curve(minutes, error[:, k], name)), y_limits=(-4.0 * settled, 4.0 * settled)))
     return panels
@@ -64,5 +65,5 @@ def _errors(trace: traces.Traces, error: Array) -> list[Panel]:
 
 def _couplings(trace: traces.Traces) -> list[Panel]:
     minutes = trace.time / 60.0
-    return [Panel(f'Correlation of {name}', 'time [min]', '1', (
+    return [Panel(f'Correlation of {name}', 'time [min]', 'correlation', (
         Curve(minutes, trace.coupling[0, :, k]),)) for k, name in enumerate(COUPLED)]
