@@ -20,8 +20,8 @@ from starcal_ros.simulation.truth import Truth
 
 RUNS = traces.RUNS
 PAPER_PX = (3.0, 0.032)     # at the edge of the detector, before and after
-AT_THE_EDGE = ('T18 gives the error of one run at the edge of the detector; ours is the RMS of all '
-               'runs at the worst place, and over all places.')
+AT_THE_EDGE = ('T18 gives the error of one run at the edge of the detector; ours is the RMS of '
+               'all runs at the worst place, and over all places.')
 _SIDE = 33                  # places along each side of the detector, its edges among them
 
 

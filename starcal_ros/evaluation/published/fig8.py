@@ -30,25 +30,26 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     scenario = scenario.replace({table4.KEY: SIGMA_PX, 'simulation.duration_s': duration_s})
     results, = montecarlo.run(Study(scenario, runs), work, on_progress=on_progress)
     time, period = results.time[0], 1.0 / scenario.star_tracker.rate_hz
-    hours = duration_s / HOURS * np.arange(1, HOURS + 1)
-    taken = np.argmin(abs(time - (hours - period)[:, None]), axis=1)
+    hours: Array = np.arange(1.0, HOURS + 1.0) * (duration_s / HOURS / 3600.0)
+    taken = np.argmin(abs(time - (3600.0 * hours - period)[:, None]), axis=1)
     which = [STATE_NAMES.index(name) for name in STATES]
-    rms = (np.sqrt(np.mean(results.error[:, taken]**2, axis=0)) / UNIT)[:, which]
-    covariance = bounds.after(scenario, time[taken] + period)
-    bound = (np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)) / UNIT)[:, which]
+    rms = np.sqrt(np.mean(results.error[:, taken]**2, axis=0))[:, which] / UNIT[which]
+    covariance = bounds.after(scenario, time[taken] + period)[:, which, which]
+    bound = np.sqrt(covariance) / UNIT[which]
+    # Two fifths in, where the scenario of Table 4 ends.
     paper = {name: {1: table4.PAPER[name][table4.VALUES.index(SIGMA_PX)]} for name in STATES}
     rows: list[tuple[str | float, ...]] = [
-        (f'{k + 1} h', name, STATE_UNITS[which[j]], paper[name].get(k, '-'), float(rms[k, j]),
-         float(bound[k, j]), float(rms[k, j] / bound[k, j]))
+        (f'{hours[k]:g} h', name, STATE_UNITS[which[j]], paper[name].get(k, '-'),
+         float(rms[k, j]), float(bound[k, j]), float(rms[k, j] / bound[k, j]))
         for k in range(HOURS) for j, name in enumerate(STATES)]
-    panels = tuple(_panel(name, STATE_UNITS[which[j]], rms[:, j], bound[:, j], paper[name])
-                   for j, name in enumerate(STATES))
+    panels = tuple(_panel(f'{name}, {STATE_UNITS[which[j]]}', hours, rms[:, j], bound[:, j],
+                          paper[name]) for j, name in enumerate(STATES))
     return Outcome(f'T18 Fig. 8, centroids of {SIGMA_PX:.2f} px, RMS of {runs} runs', BESIDE,
                    tuple(rows), (NOT_STATED, ONLY_DRAWN, chance(runs)), panels)
 
 
-def _panel(name: str, unit: str, rms: Array, bound: Array, paper: dict[int, float]) -> Panel:
-    hours = np.arange(1.0, HOURS + 1.0)
-    return Panel(name, 'time [h]', f'RMS [{unit}]', (
+def _panel(title: str, hours: Array, rms: Array, bound: Array, paper: dict[int, float]
+           ) -> Panel:
+    return Panel(title, 'time [h]', 'RMS error', (
         Curve(hours, rms, 'ours', 'marked'), Curve(hours, bound, 'bound', 'limit'),
         Curve(hours[list(paper)], np.array(list(paper.values())), 'T18 Table 4', 'paper')))

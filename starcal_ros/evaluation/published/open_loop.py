@@ -95,7 +95,7 @@ def _against_the_paper(end: Runs) -> list[str]:
         return []
     return [f'From the first errors of T18 the open loop leaves p1 and p2 wrong by {ours[0]:.1e} '
             f'and {ours[1]:.1e} mm^-1. T18 Table 3 has {paper[0]:.1e} and {paper[1]:.1e}: its '
-            'filter was linearised anew on the way, or began nearer to the truth, than it says.']
+            'filter was linearised anew on the way or began nearer to the truth than it says.']
 
 
 def _panels(rms: Array, nees: Array, runs: int) -> tuple[Panel, ...]:
