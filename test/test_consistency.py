@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from starcal_ros import camera, parameter_file, rotation
 from starcal_ros.acquisition import AcquisitionError
 from starcal_ros.estimator import CALIBRATED, EPSILON, UNIT, Filter
-from starcal_ros.evaluation import consistency, montecarlo
+from starcal_ros.evaluation import bounds, consistency, montecarlo
 from starcal_ros.evaluation.batch import run_batch
 from starcal_ros.evaluation.bounds import cramer_rao
 from starcal_ros.measurements import Frames
@@ -103,6 +103,13 @@ def test_bound_of_a_perfect_gyro_is_the_limit_of_ever_better_ones():
                      for arw in (0.0, 1e-5))
     np.testing.assert_allclose(good, perfect, rtol=0.02)
     assert (good >= perfect * (1.0 - 1e-6)).all()
+
+
+def test_bounds_at_several_times_are_those_of_runs_of_these_lengths():
+    both = bounds.after(SCENARIO, [200.0, 550.0])
+    for duration_s, covariance in zip((200.0, 550.0), both):
+        alone = montecarlo.bound(SCENARIO.replace({'simulation.duration_s': duration_s}))
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), alone, rtol=1e-9)
 
 
 def apparent(scenario, frames: Frames):
