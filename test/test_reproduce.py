@@ -31,7 +31,7 @@ def outcome(request, tmp_path_factory):
 def test_rows_fill_the_columns_and_the_notes_say_what_is_missing(outcome):
     assert outcome.rows and outcome.notes
     assert {len(row) for row in outcome.rows} == {len(outcome.columns)}
-    assert all(value == value for row in outcome.rows for value in row)
+    json.dumps(outcome.as_dict(), allow_nan=False)
 
 
 def test_what_is_drawn_is_finite(outcome):
@@ -94,6 +94,12 @@ def test_bound_of_the_distortion_is_the_spread_of_cameras_drawn_from_it(work, mo
     assert [row[1] for row in rows[1:]] == ['largest', 'mean square']
     for row in rows[1:]:
         assert row[6] == pytest.approx(1.0, abs=0.07)
+
+
+def test_gyro_without_noise_has_no_walk_to_be_compared_with(work):
+    quiet = SCENARIO.replace({'gyro.arw_deg_sqrt_h': 0.0})
+    rows = published.load('fig5').reproduce(quiet, 1, work, lambda part: None).rows
+    assert [row[5:] for row in rows if row[0] == 'drift without bias'] == [('-', '-')] * 3
 
 
 def test_five_hours_are_parts_of_one_run_and_the_bound_falls_with_them(work):

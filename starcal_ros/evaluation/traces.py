@@ -15,8 +15,8 @@ are the variances that a filter which says the truth leaves.
 
 The gyro alone
 --------------
-From the first fix on the readings are also integrated as they are. The drift since then is
-``E(t) E(0)'``, E the rotation error of the attitude, in i.
+From the first fix on the readings, less the nominal bias, are integrated without the stars as
+well. The drift since then is ``E(t) E(0)'``, E the rotation error of the attitude, in i.
 """
 
 from __future__ import annotations
@@ -142,10 +142,10 @@ def _traced(scenario: Scenario, runs: int, on_progress: Callable[[float], None])
                     root, estimate.intrinsics, filter_.detector.pitch_mm),
                 coupling(root @ np.swapaxes(root, -1, -2)), drift))
         if step.number >= last_minutes:
-            residuals += [(run, np.full(len(run), time), residual, variance,
-                           np.full(len(run), held_out))
-                          for held_out, (run, residual, variance) in zip(
-                              (False, True), _residuals(filter_, step))]
+            used, held_out = _residuals(filter_, step)
+            for stars, held in ((used, False), (held_out, True)):
+                run, *found = stars
+                residuals.append((run, np.full(len(run), time), *found, np.full(len(run), held)))
     times, *states = zip(*samples)
     values = [np.array(times), *(np.stack(part, axis=1) for part in states),
               *(np.concatenate(part) for part in zip(*residuals))]
