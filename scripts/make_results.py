@@ -82,9 +82,10 @@ def _study(name: str, outcome: dict[str, Any], shared: list[str]) -> list[str]:
             group = [{key: cell for key, cell in row.items() if key != first} for row in group]
         lines += _table(group)
     lines += [f'* {note}' for note in outcome['notes'] if note not in shared]
-    marks = ''.join(f'[^{shared.index(note) + 1}]' for note in outcome['notes'] if note in shared)
+    marks = [f'[^{shared.index(note) + 1}]' for note in outcome['notes'] if note in shared]
+    lines += [f'* Notes that several tables share: {" ".join(marks)}'] if marks else []
     provenance = outcome['provenance']
-    return [*lines, f'* `{provenance["command"]}`, starcal_ros {provenance["version"]}{marks}\n']
+    return [*lines, f'* `{provenance["command"]}`, starcal_ros {provenance["version"]}\n']
 
 
 def _table(rows: list[dict[str, Any]]) -> list[str]:

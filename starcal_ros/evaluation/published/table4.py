@@ -10,7 +10,7 @@ from typing import Any
 
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import CALIBRATED, STATE_NAMES, STATE_UNITS
-from starcal_ros.evaluation import montecarlo
+from starcal_ros.evaluation import consistency, montecarlo
 from starcal_ros.evaluation.montecarlo import Study
 from starcal_ros.evaluation.outcome import Outcome
 from starcal_ros.evaluation.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED, chance
@@ -51,11 +51,27 @@ def swept(title: str, study: Study, paper: Mapping[str, tuple[float, ...]], note
     points = [montecarlo.summarize(study.at(value), runs)
               for value, runs in zip(study.values, results)]
     units = dict(zip(STATE_NAMES, STATE_UNITS))
-    return Outcome(title, BESIDE, tuple(
+    rows = tuple(
         (f'{study.key} = {value:g}', name, units[name], paper[name][k],
          *(point['states'][name][key] for key in ('rms', 'bound', 'ratio')))
         for k, (value, point) in enumerate(zip(study.values, points))
-        for name in STATE_NAMES[CALIBRATED]), (*notes, chance(study.runs), _consistent(points)))
+        for name in STATE_NAMES[CALIBRATED])
+    return Outcome(title, BESIDE, rows,
+                   (*notes, _below(study, points, paper), chance(study.runs), _consistent(points)))
+
+
+def _below(study: Study, points: Sequence[Mapping[str, Any]],
+           paper: Mapping[str, tuple[float, ...]]) -> str:
+    """Say where a paper's RMS is below the bound by more than the chance of its runs."""
+    least = consistency.rms_interval(RUNS, 0.999).low
+    where = []
+    for name in STATE_NAMES[CALIBRATED]:
+        values = [f'{value:g}' for k, value in enumerate(study.values)
+                  if paper[name][k] < least * points[k]['states'][name]['bound']]
+        where += [f'{name} at {", ".join(values)}'] if values else []
+    return (f'T18 is below {least:.2f} of the bound of our scenario, which chance lets a set of '
+            f'{RUNS} runs be in one of 2000, ' + (
+                f'in: {"; ".join(where)}.' if where else 'nowhere.'))
 
 
 def _consistent(points: Sequence[Mapping[str, Any]]) -> str:
