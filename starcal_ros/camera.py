@@ -163,3 +163,11 @@ def unproject(uv: Array, intrinsics: Array, pitch_mm: float) -> Array:
         y = y - (D_xx * e_y - D_xy * e_x) / determinant
     r_s = np.stack(np.broadcast_arrays(-x, -y, f), axis=-1)
     return r_s / np.linalg.norm(r_s, axis=-1, keepdims=True)
+
+
+def distortion(uv: Array, intrinsics: Array, pitch_mm: float) -> Array:
+    """Return the distortion, (..., n, 2) [px], of undistorted image points uv (..., n, 2) [px]."""
+    u0, v0, _, *lens = (intrinsics[..., k, None] for k in range(7))
+    x, y = (uv[..., 0] - u0) * pitch_mm, (uv[..., 1] - v0) * pitch_mm
+    x_distorted, y_distorted = _distorted(x, y, *lens)
+    return np.stack((x_distorted - x, y_distorted - y), axis=-1) / pitch_mm

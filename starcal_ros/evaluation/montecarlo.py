@@ -20,16 +20,12 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import catalog, parameter_file, sky
+from starcal_ros import parameter_file
 from starcal_ros.config import Scenario, parameters
-from starcal_ros.estimator import N_STATES, STATE_NAMES, STATE_UNITS, UNIT, Filter
-from starcal_ros.evaluation import consistency
+from starcal_ros.estimator import N_STATES, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.evaluation import bounds, consistency
 from starcal_ros.evaluation.batch import Runs, run_batch
-from starcal_ros.evaluation.bounds import cramer_rao
 from starcal_ros.parameter import ConfigError
-from starcal_ros.scenario import observer
-from starcal_ros.simulation import sensors
-from starcal_ros.simulation.truth import Truth
 
 Array = NDArray[np.float64]
 
@@ -156,13 +152,7 @@ def _load(path: Path) -> Runs:
 
 def bound(scenario: Scenario) -> Array:
     """Return the Cramér–Rao bound on T18's 16 states after the last frame, (16,) sigmas."""
-    tracker = sensors.star_tracker(scenario)
-    frames = tracker.next(tracker.count)
-    stars = catalog.load(scenario.star_tracker.limiting_magnitude)
-    u_i = sky.apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
-                              frames.star_counts, observer(scenario.observer))
-    covariance = cramer_rao(Filter(scenario), Truth.from_scenario(scenario), frames, u_i)
-    return np.sqrt(np.diag(covariance))
+    return np.sqrt(np.diag(bounds.after(scenario, [scenario.simulation.duration_s])[0]))
 
 
 def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:
