@@ -58,17 +58,6 @@ class Places:
         self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
         self._observer = observer(scenario.observer)
 
-    def centroids(self, frames: Frames) -> tuple[Array, Array, Mask]:
-        """Return the centroids (n, 2) from the centre of the detector, their sigmas [px], (n,).
-
-        And which can be used, (n,) bool, whoever's star they are.
-        """
-        uv = frames.uv_raster - self._detector.centre_raster
-        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
-        measured = (self._detector.contains(uv / _OUTSIDE)
-                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
-        return uv, sigma, measured
-
     def of(self, frames: Frames) -> Placed:
         """Return the stars of many frames."""
         stars = catalog.load_containing(frames.catalog_id)
@@ -83,6 +72,24 @@ class Places:
         return Placed(
             Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf)),
             measured, list(_notices(frames, frame, sigma, measured, row)))
+
+    def centroids(self, frames: Frames) -> tuple[Array, Array, Mask]:
+        """Return the centroids of frames as they can be used, with or without a place.
+
+        Returns
+        -------
+        uv : (n, 2) array
+            From the centre of the detector [px].
+        sigma : (n,) array
+            Standard deviation of each axis [px].
+        measured : (n,) bool array
+            Which can be used.
+        """
+        uv = frames.uv_raster - self._detector.centre_raster
+        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
+        measured = (self._detector.contains(uv / _OUTSIDE)
+                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        return uv, sigma, measured
 
 
 def _notices(frames: Frames, frame: NDArray[np.int64], sigma: Array, measured: Mask,

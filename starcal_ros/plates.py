@@ -65,7 +65,7 @@ class Plates:
 
     def which(self, part: NDArray[np.bool_]) -> Plates:
         """Return some of the images."""
-        return Plates(tuple(np.array(self.names)[part].tolist()), self.frames.which(part),
+        return Plates(tuple(np.array(self.names)[part].tolist()), self.frames.take(part),
                       self.heldout[part])
 
 

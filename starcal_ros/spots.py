@@ -78,7 +78,7 @@ class SpotTracker:
         self._bias = np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._last_ns = 0
-        self._rate = np.zeros(3)                        # of the turn, rotation vector [rad/s]
+        self._turn, self._dt = np.eye(3), 1.0           # the last one seen, and its time [s]
         self._w = np.empty((0, 3))                      # the tracks: direction at the last frame,
         self._number = np.empty(0, np.int64)            # number,
         self._missed = np.empty(0, np.int64)            # frames without a spot
@@ -106,12 +106,18 @@ class SpotTracker:
         for k, dt in enumerate((np.diff(cuts) * NS).tolist()):
             spots = np.arange(frames.first[k], frames.first[k + 1])
             spots = spots[measured[spots]]
-            guess = rotation.exp(self._rate * dt) if expected is None else expected[k]
+            guess = self._carried_on(dt) if expected is None else expected[k]
             track[spots], turn[k] = self._step(w_s[spots], guess)
             if dt > 0.0:
-                self._rate = rotation.log(turn[k]) / dt
+                self._turn, self._dt = turn[k], dt
         self._last_ns = int(cuts[-1])
         return Followed(track, turn)
+
+    def _carried_on(self, dt: float) -> Array:
+        """Return the turn in dt [s] at the rate of the last one."""
+        if abs(dt - self._dt) < 1e-3 * dt:
+            return self._turn
+        return rotation.exp(rotation.log(self._turn) * (dt / self._dt))
 
     def _turns(self, gyro: GyroSamples, cuts_ns: NDArray[np.int64]) -> Array:
         """Return C_s1s0, (n, 3, 3), between the stamps as the gyro has it."""

@@ -111,7 +111,7 @@ class Bundle:
 
     def _from_tracks(self, frames: Frames) -> _Start | None:
         fresh = np.diff(np.maximum.accumulate(frames.stamp_ns), prepend=np.iinfo(np.int64).min) > 0
-        frames = frames.which(fresh)
+        frames = frames.take(fresh)
         if len(frames) < _SIGHTINGS:
             return None
         gyro = GyroSamples.concatenate(self._gyro)
