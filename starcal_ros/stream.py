@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from starcal_ros import augmentation, preintegration
 from starcal_ros.acquisition import AcquisitionError, acquire
-from starcal_ros.config import Scenario
-from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Update
+from starcal_ros.config import EstimatorConfig, Scenario
+from starcal_ros.estimator import EPSILON, SIGMA_ACQUIRED, Belief, Filter, Update
 from starcal_ros.measurements import Frames, GyroSamples, Stars
 from starcal_ros.places import Places
 from starcal_ros.preintegration import GAP, Preintegrated
@@ -108,10 +108,13 @@ class Stream:
     ----------
     scenario : Scenario
         Its nominal values, observer and estimator options; never its truth.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.filter = Filter(scenario)
+    def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
+        self._scenario, self._covariance = scenario, covariance
+        self.filter = Filter(scenario, covariance)
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
         self._patience = scenario.estimator.reacquire_after_frames
@@ -133,6 +136,12 @@ class Stream:
         self._refused_in_a_row = 0
         self._recent: deque[tuple[int, Array, int]] = deque()
         self._tracker = Tracker(self.filter, self._period_ns)
+
+    def use(self, options: EstimatorConfig) -> None:
+        """Go on with other gates and process noise, those that may change on the way."""
+        self._scenario = replace(self._scenario, estimator=options)
+        self.filter = self._tracker.filter = Filter(self._scenario, self._covariance)
+        self._patience = options.reacquire_after_frames
 
     # Coming in
 
@@ -233,6 +242,15 @@ class Stream:
             self._gyro, np.array([self.stamp_ns, last]), self._period_ns)
         gain = augmentation.gain(estimate.augmented)
         return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
+
+    @property
+    def rate_covariance(self) -> Array:
+        """Covariance of a rate of the track, (3, 3) [rad^2/s^2]: noise of a reading, and bias."""
+        noise = np.eye(3) * (self.filter.walk**2 / (self._period_ns * NS))
+        if self.belief is None:
+            return noise
+        root = self.belief.state_root[EPSILON]
+        return noise + root @ root.T
 
     @property
     def reprojection_rms_px(self) -> Array:

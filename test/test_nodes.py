@@ -6,8 +6,6 @@ import json
 import os
 from pathlib import Path
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -15,15 +13,11 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
-from diagnostic_msgs.msg import DiagnosticArray                                 # noqa: E402
 from rcl_interfaces.srv import DescribeParameters                               # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile                              # noqa: E402
-from sensor_msgs.msg import Imu, PointCloud2                                    # noqa: E402
-from std_msgs.msg import Float64MultiArray                                      # noqa: E402
 from std_srvs.srv import SetBool, Trigger                                       # noqa: E402
 
-from starcal_ros import cdr, cdr_cloud, demo, parameter_file, record, ros_conventions  # noqa: E402
-from starcal_ros import rotation                                                # noqa: E402
+from peer import PATIENCE_S, Peer                                               # noqa: E402
+from starcal_ros import demo, parameter_file, record, ros_conventions, rotation  # noqa: E402
 from starcal_ros.bag import open_bag                                            # noqa: E402
 from starcal_ros.calibration import predicted_centroid                          # noqa: E402
 from starcal_ros.measurements import Frames, GyroSamples                        # noqa: E402
@@ -34,7 +28,6 @@ from starcal_ros.simulation.truth import Truth                                  
 DURATION_S = 60.0
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': DURATION_S, 'simulation.real_time_factor': 0.0})
-PATIENCE_S = 30.0
 
 
 @pytest.fixture(scope='module')
@@ -126,28 +119,10 @@ def test_recording_carries_configuration_and_truth(recorded):
                                atol=1e-12)
     carried = parameter_file.parse(recorded.attachments['config.yaml'].decode(), 'attachment')
     assert carried.replace({'recorder.output': 'run.mcap'}) == SCENARIO.replace(
-        {'simulation.wait_for_subscribers': 2})
+        {'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2})
 
 
 # One node at a time
-
-
-@pytest.fixture
-def start(tmp_path):
-    """Return a function that starts a node; what is left of them is killed at the end."""
-    started = []
-
-    def run(name, *words):
-        process = subprocess.Popen(
-            [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args', *words],
-            stderr=subprocess.PIPE, text=True, cwd=tmp_path)
-        started.append(process)
-        return process
-    yield run
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
 
 
 @pytest.fixture
@@ -155,56 +130,8 @@ def parameters(tmp_path):
     """Return the words that give a node the scenario."""
     path = tmp_path / 'scenario.yaml'
     path.write_text(parameter_file.dump(SCENARIO.replace({
-        'estimator.calibration_file': str(tmp_path / 'saved.json')})))
+        'estimator.calibration_directory': str(tmp_path / 'saved')})))
     return '--params-file', str(path)
-
-
-class Peer:
-    """A node of this process that talks to the one under test."""
-
-    def __init__(self):
-        self.node = rclpy.create_node('peer')
-        self.gyro = self.node.create_publisher(Imu, 'imu/data_raw', 5000)
-        self.frames = self.node.create_publisher(PointCloud2, 'star_tracker/centroids', 1000)
-        self.states, self.diagnostics = [], []
-        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(
-            Float64MultiArray, 'starcal/state', self.states.append, latched)
-        self.node.create_subscription(
-            DiagnosticArray, 'diagnostics', self.diagnostics.append, 10)
-
-    def until(self, condition):
-        """Spin until something holds."""
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < deadline, 'waited in vain'
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def meet(self):
-        """Wait until the estimator listens and is heard."""
-        self.until(lambda: all(p.get_subscription_count() for p in (self.gyro, self.frames)))
-        self.until(lambda: self.node.count_publishers('starcal/state') == 1)
-
-    def send(self, gyro, frames):
-        """Publish messages."""
-        for message in cdr.encode_imu(gyro):
-            self.gyro.publish(message.tobytes())
-        for message in cdr_cloud.encode_centroids(frames):
-            self.frames.publish(message)
-
-    def call(self, kind, name, request=None):
-        """Call a service."""
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready)
-        future = client.call_async(request or kind.Request())
-        self.until(future.done)
-        return future.result()
-
-    def status(self):
-        """Return the newest diagnostics."""
-        self.diagnostics.clear()
-        self.until(lambda: self.diagnostics)
-        return self.diagnostics[-1].status[0]
 
 
 @pytest.fixture
@@ -250,7 +177,7 @@ def test_nothing_but_finite_numbers_leaves_the_estimator(start, parameters, peer
               Frames(frames.stamp_ns, frames.first, uv, frames.sigma, frames.magnitude, number))
     peer.until(lambda: len(peer.states) >= 19)
     assert all(np.isfinite(state.data).all() for state in peer.states)
-    values = {item.key: item.value for item in peer.status().values}
+    values = peer.values()
     assert values['dropped_messages'] == '4'
     assert int(values['unusable_stars']) == len(uv[::50]) + 1
     estimator.send_signal(signal.SIGINT)
@@ -268,12 +195,12 @@ def test_services_save_reset_and_disable(start, parameters, peer, readings, tmp_
     peer.send(*readings)
     peer.until(lambda: len(peer.states) >= 20)
     assert peer.call(Trigger, 'estimator/save_calibration').success
-    saved = json.loads((tmp_path / 'saved.json').read_text())
+    saved = json.loads((tmp_path / 'saved' / '0001' / 'result.json').read_text())
     assert saved['counts']['frames'] == 20
     assert peer.call(Trigger, 'estimator/reset').success
-    assert peer.status().message == 'no attitude yet'
+    assert peer.status()[0].message == 'no attitude yet'
     assert peer.call(SetBool, 'estimator/set_enabled', SetBool.Request(data=False)).success
-    assert peer.status().message == 'disabled'
+    assert peer.status()[0].message == 'disabled'
 
 
 def test_parameters_are_described_with_unit_and_range_and_are_read_only(start, parameters, peer):

@@ -82,7 +82,8 @@ class History:
 
 
 def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
-              on_progress: Callable[[float], None] | None = None) -> tuple[Stream, History]:
+              on_progress: Callable[[float], None] | None = None,
+              covariance: Array | None = None) -> tuple[Stream, History]:
     """Calibrate from all the messages of a recording.
 
     Parameters
@@ -93,6 +94,8 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         Nominal values and estimator options.
     on_progress : callable, optional
         Called now and then with the part done, 0 to 1.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         After the last frame that the gyro reached.
     history : History
     """
-    stream = Stream(scenario)
+    stream = Stream(scenario, covariance)
     stream.add_gyro(gyro)
     stream.add_frames(frames)
     n = stream.waiting
