@@ -66,7 +66,9 @@ class SimulatedClock:
             return self._shown_ns
         if self._factor == 0.0:
             return _ALWAYS_DUE
-        return self._shown_ns + round((self._real_ns() - self._running_since_ns) * self._factor)
+        real_ns = self._real_ns()
+        self._running_since_ns = self._running_since_ns or real_ns      # 0: no /clock yet
+        return self._shown_ns + round((real_ns - self._running_since_ns) * self._factor)
 
 
 def passing_time(node: Node) -> Callable[[], int]:
