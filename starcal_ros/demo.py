@@ -68,6 +68,7 @@ def run_live(scenario: Scenario, folder: Path,
     """
     recording = folder / RECORDING
     scenario = scenario.replace({'recorder.output': str(recording),
+                                 'estimator.wait_for_subscribers': 1,
                                  'simulation.wait_for_subscribers': 2})
     params_file = folder / PARAMETERS
     params_file.write_text(parameter_file.dump(scenario), encoding='utf-8')
@@ -80,8 +81,9 @@ def run_live(scenario: Scenario, folder: Path,
         threading.Thread(target=_follow, args=(nodes['gyro_sim'], on_progress),
                          daemon=True).start()
         _wait_for_simulators(nodes)
-        # The simulators end when all they sent has arrived. The estimator uses up what waits
-        # before it ends, and then the recorder.
+        # Nothing is lost at the beginning: the simulators wait for recorder and estimator, and
+        # that for the recorder. Nor at the end: the simulators end when all they sent has arrived,
+        # the estimator uses up what waits, and then the recorder.
         for name in ('estimator', 'recorder'):
             nodes[name].send_signal(signal.SIGINT)
             _expect_end(name, nodes[name])

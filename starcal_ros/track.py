@@ -58,7 +58,7 @@ class Tracker:
     """Integrates from each update onwards, each gyro sample once."""
 
     def __init__(self, filter_: Filter, period_ns: float) -> None:
-        self._filter = filter_
+        self.filter = filter_
         self._period_ns = period_ns
         self._given_ns = np.iinfo(np.int64).min
         self._reached: _Reached | None = None
@@ -105,8 +105,8 @@ class Tracker:
         if augmentation.has_matrix(estimate.augmented.shape[-1]):
             by_row = states[MATRIX].reshape(3, 3, -1)
             root = root + estimate.C_gi.T @ np.einsum('kj,ijn->kin', turn[rows], by_row)
-        spread = (self._filter.walk**2 * elapsed + self._filter.density[0]**2 * elapsed**3 / 3.0
-                  + (self._filter.gap_acceleration * gap_turn[rows, None, None])**2)
+        spread = (self.filter.walk**2 * elapsed + self.filter.density[0]**2 * elapsed**3 / 3.0
+                  + (self.filter.gap_acceleration * gap_turn[rows, None, None])**2)
         return Track(samples.stamp_ns, C_gi[rows],
                      root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
                      (samples.rate - estimate.bias) @ gain.T)

@@ -38,9 +38,12 @@ def quaternion(C: Array) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
-def imus(track: Track) -> list[Imu]:
-    """Return `starcal/imu`: orientation of gyro in icrf, its covariance about the axes of icrf."""
-    messages = []
+def imus(track: Track, rate_covariance: Array) -> list[Imu]:
+    """Return `starcal/imu`: orientation of gyro in icrf, its covariance about the axes of icrf.
+
+    The covariance of the rate, (3, 3), is about the axes of gyro; there is no acceleration.
+    """
+    messages, rate_covariance = [], rate_covariance.ravel()
     q_ig = rotation.to_quaternion(np.swapaxes(track.C_gi, -1, -2))
     for stamp_ns, q, covariance, rate in zip(
             track.stamp_ns.tolist(), q_ig.tolist(), track.covariance, track.rate.tolist()):
@@ -49,6 +52,7 @@ def imus(track: Track) -> list[Imu]:
         orientation.x, orientation.y, orientation.z, orientation.w = q
         velocity.x, velocity.y, velocity.z = rate
         message.orientation_covariance = covariance.ravel()
+        message.angular_velocity_covariance = rate_covariance
         message.linear_acceleration_covariance[0] = -1.0        # REP-145: not measured
         messages.append(message)
     return messages
