@@ -4,27 +4,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 import sys
-from typing import Any, TypeVar
+from typing import Any
 
 from sensor_msgs.msg import Imu, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from starcal_ros import __version__, cdr, cdr_cloud, restart, result
 from starcal_ros.archive import Archive, ArchiveError
-from starcal_ros.cdr import Messages, RecordError
 from starcal_ros.config import Scenario
 from starcal_ros.nodes import parameters, runtime
 from starcal_ros.nodes.diagnostics import Diagnostics
 from starcal_ros.nodes.flow import MatchedSubscription, when_subscribed
+from starcal_ros.nodes.inputs import decoded
 from starcal_ros.nodes.managed import ManagedNode
 from starcal_ros.nodes.results import Results
 from starcal_ros.stream import Stream
-
-T = TypeVar('T')
 
 _DIAGNOSTICS_S = 1.0
 
@@ -90,27 +87,19 @@ class Estimator(ManagedNode):
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         if self._enabled:
-            for part in self._decoded(batch, cdr.decode_imu):
+            for part in decoded(batch, cdr.decode_imu, self._drop):
                 self._stream.add_gyro(part)
             self._advance()
 
     def _on_frames(self, batch: list[bytes]) -> None:
         if self._enabled:
-            for part in self._decoded(batch, cdr_cloud.decode_centroids):
+            for part in decoded(batch, cdr_cloud.decode_centroids, self._drop):
                 self._stream.add_frames(part)
             self._advance()
 
-    def _decoded(self, batch: list[bytes], decode: Callable[[Messages], T]) -> Iterator[T]:
-        """Yield messages as arrays, all at once, or singly around one that is no message."""
-        try:
-            yield decode(Messages.join(batch))
-        except RecordError as error:
-            if len(batch) == 1:
-                self._stream.counts.dropped_messages += 1
-                self.get_logger().error(f'message dropped: {error}')
-            else:
-                for message in batch:
-                    yield from self._decoded([message], decode)
+    def _drop(self, why: str) -> None:
+        self._stream.counts.dropped_messages += 1
+        self.get_logger().error(why)
 
     def _advance(self) -> None:
         """Publish what the stream gives by now."""

@@ -14,6 +14,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from starcal_ros import ros_conventions, rotation
 from starcal_ros.camera import Detector
+from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.estimator import EPSILON, Belief
 from starcal_ros.ros_conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
 from starcal_ros.stream import FrameResult, Track
@@ -106,6 +107,12 @@ def state(stamp_ns: int, belief: Belief) -> Float64MultiArray:
     """Return `starcal/state`."""
     return labelled(list(ros_conventions.STATE_LAYOUT),
                     ros_conventions.state_vector(stamp_ns, belief))
+
+
+def intrinsics(stamp_ns: int, estimate: CameraEstimate) -> Float64MultiArray:
+    """Return `starcal/intrinsics/state`."""
+    return labelled(list(ros_conventions.INTRINSICS_LAYOUT), np.concatenate((
+        [stamp_ns * 1e-9], estimate.intrinsics, estimate.covariance.ravel())))
 
 
 def residuals(result: FrameResult) -> PointCloud2:

@@ -37,6 +37,10 @@ TOPICS = (
           result=True),
     Topic('starcal/state', 'std_msgs/msg/Float64MultiArray', latched=True, result=True),
     Topic('starcal/residuals', 'sensor_msgs/msg/PointCloud2', latched=True, result=True),
+    Topic('starcal/intrinsics/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True,
+          result=True),
+    Topic('starcal/intrinsics/state', 'std_msgs/msg/Float64MultiArray', latched=True,
+          result=True),
     Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result=True),
     Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True),
 )
