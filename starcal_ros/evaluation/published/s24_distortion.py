@@ -29,8 +29,8 @@ EDGE_PX = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)       # what k1 moves a star at the ed
 NAMES = ('SCWC', 'SCWC, k1', 'bundle', 'bundle, k1')
 COLUMNS = ('edge (px)', *NAMES, 'stated')
 NOTES = (
-    'RMS error of f [um]; 0.1 px, 100 frames, 20 stars, the same noise in each row. The pinhole takes '
-    'distortion for focal length: 0.06 px at the edge of the detector already cost it more than '
+    'RMS error of f [um]; 0.1 px, 100 frames, 20 stars, the same noise in each row. The pinhole '
+    'takes distortion for focal length: 0.06 px at the edge of the detector cost it more than '
     'estimating k1 does.',
     'SCWC with k1 among its unknowns is no way out: its constraint weighs all angles alike, and f '
     'is then hardly known. In the bundle the directions of the stars are unknowns too; with k1 it '

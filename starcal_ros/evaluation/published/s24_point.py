@@ -21,7 +21,7 @@ NOTES = (
     'bound on f would exceed the 0.15 um that it reports. Its way of drawing attitudes is not '
     'stated; ours: the cone of stars anywhere on the detector, any roll.',
     'The bound has unknown attitudes, in S unknown stars too. Solved to the end TCWC is as good as'
-    ' TCOC, as S24 says. Ten iterations with lambda = 200, its recipe, leave it at some 2 um, the '
+    ' TCOC, as S24 says. Ten iterations with lambda = 200, its recipe, leave it at 0.8 um, the '
     'rows with (10): its instruments weigh all pairs alike, and the last digits come slowly.',
     'SCOC is biased: a longer f makes all angles, and so their scatter between frames, smaller. '
     'SCWC compares the mean angle and has no such reward.')
