@@ -44,7 +44,8 @@ def node_command(name: str, parameters: Mapping[str, object], params_file: Path 
     if params_file is not None:
         command += ['--params-file', str(params_file)]
     for key, value in parameters.items():
-        command += ['-p', f'{key}:={value}']
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        command += ['-p', f'{key}:={text}']
     return command
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from starcal_ros import augmentation, preintegration
 from starcal_ros.acquisition import AcquisitionError, acquire
 from starcal_ros.config import EstimatorConfig, Scenario
-from starcal_ros.estimator import EPSILON, SIGMA_ACQUIRED, Belief, Filter, Update
+from starcal_ros.estimator import EPSILON, SCALE, SIGMA_ACQUIRED, Belief, Filter, Update
 from starcal_ros.measurements import Frames, GyroSamples, Stars
 from starcal_ros.places import Places
 from starcal_ros.preintegration import GAP, Preintegrated
@@ -167,8 +167,8 @@ class Stream:
         self.counts.gyro += len(good)
         if not len(good):
             return
-        before = self._gyro.stamp_ns[-1] if len(self._gyro) else good.stamp_ns[0]
-        steps = np.diff(good.stamp_ns, prepend=before)
+        before = self._gyro.stamp_ns[-1:] if len(self._gyro) else good.stamp_ns[:1]
+        steps = good.stamp_ns - np.concatenate((before, good.stamp_ns[:-1]))
         silent = steps > GAP * self._period_ns
         self.counts.gyro_gaps += int(silent.sum())
         self.counts.missing_gyro += int(np.rint(steps[silent] / self._period_ns - 1).sum())
@@ -249,7 +249,7 @@ class Stream:
         noise = np.eye(3) * (self.filter.walk**2 / (self._period_ns * NS))
         if self.belief is None:
             return noise
-        root = self.belief.state_root[EPSILON]
+        root = self.belief.root[EPSILON] * SCALE[EPSILON, None]
         return noise + root @ root.T
 
     @property

@@ -141,7 +141,7 @@ class Timeline(Generic[M]):
 
     def _sorted(self, messages: M) -> Iterator[tuple[M, bool]]:
         """Yield messages that are believed, and whether a stretch begins with them."""
-        step = np.diff(messages.stamp_ns)
+        step = messages.stamp_ns[1:] - messages.stamp_ns[:-1]       # np.diff takes ten times that
         edges = np.flatnonzero((step <= 0) | (step > self._leap_ns)) + 1
         bounds = [0, *edges.tolist(), len(messages)]
         for low, high in zip(bounds[:-1], bounds[1:]):

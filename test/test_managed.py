@@ -128,6 +128,8 @@ def test_recorder_has_both_parts_and_the_nine_qos_policies_of_the_sensor(
     recording = record.read(output)
     expected = GyroSamples.concatenate((part(readings, 0., 10.)[0], part(readings, 20., 30.)[0]))
     np.testing.assert_array_equal(recording.gyro.stamp_ns, expected.stamp_ns)
+    counts = {topic.topic: topic.count for topic in record.summary(output).topics}
+    assert counts['/starcal/state'] == counts['/starcal/camera_info'] == 40     # none twice
     channel = next(channel for channel in McapFile(output).channels.values()
                    if channel.topic == '/imu/data_raw')
     offered, = yaml.safe_load(channel.metadata['offered_qos_profiles'])

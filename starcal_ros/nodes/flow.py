@@ -79,7 +79,8 @@ class FlowPublisher:
         self._node = node
         self._publisher: Publisher[Any] = node.create_publisher(
             message_type, topic, LATCHED if latched else STREAM,
-            event_callbacks=PublisherEventCallbacks(incompatible_qos=self._on_incompatible))
+            event_callbacks=PublisherEventCallbacks(
+                incompatible_qos=self._on_incompatible, use_default_callbacks=False))
         self.latched = latched
         self._depth = LATCHED.depth if latched else sys.maxsize
         self._unacknowledged = 0        # messages since all were acknowledged
@@ -275,8 +276,9 @@ class MatchedSubscription:
     def _create(self) -> Subscription[Any]:
         qos = QoSProfile(reliability=self._reliability, durability=self._durability,
                          history=HistoryPolicy.KEEP_ALL)
-        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible,
-                                            message_lost=self._on_lost)
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=self._on_incompatible, message_lost=self._on_lost,
+            use_default_callbacks=False)        # each costs time, message by message
         try:
             return self._node.create_subscription(
                 self._type, self._topic, self._on_message, qos, raw=self._raw,

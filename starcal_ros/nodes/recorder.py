@@ -5,11 +5,13 @@
 The log time of a message is its stamp, not the time of its arrival: a run that was simulated at
 twenty times its speed is then played back at its own. A message without stamp, or with that of
 the wall clock (diagnostics), gets the newest stamp that came from the same source. A stamp that
-goes backward gets the newest of its topic, so each topic keeps its order of arrival.
+goes backward gets the newest of its topic, so each topic keeps its order of arrival; so does one
+that is an hour ahead, until the next one is, too.
 """
 
 from __future__ import annotations
 
+from collections import deque
 import json
 import struct
 import sys
@@ -23,7 +25,7 @@ from std_msgs.msg import Float64MultiArray
 
 from starcal_ros import parameter_file
 from starcal_ros.nodes import runtime
-from starcal_ros.nodes.flow import MatchedSubscription
+from starcal_ros.nodes.flow import LATCHED, MatchedSubscription
 from starcal_ros.nodes.managed import ManagedNode
 from starcal_ros.nodes.topics import TOPICS, is_stamped, message_type, offered_qos
 from starcal_ros.record import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
@@ -34,6 +36,7 @@ _TRUTH = 'truth/parameters'
 _FLUSH_S = 1.0                  # a killed recorder loses no more than this
 _FLUSH_BYTES = 16 << 20
 _SEARCH_S = 0.2
+_FAR_NS = 3600 * 10**9
 
 
 @dataclass
@@ -47,10 +50,20 @@ class _Channel:
     subscription: MatchedSubscription | None = None
     qos: tuple[Qos, ...] = ()
     newest_ns: int = 0
+    is_ahead: bool = False          # the last stamp, far, and not believed
     log_times_ns: list[int | None] = field(default_factory=list)
     messages: list[bytes] = field(default_factory=list)
     count: int = 0
-    last: bytes = b''
+    latest: deque[bytes] = field(default_factory=lambda: deque(maxlen=LATCHED.depth))
+    known: set[bytes] = field(default_factory=set)      # latched, and recorded before a pause
+
+    def log_time_ns(self, stamp_ns: int) -> int:
+        """Return the log time of the next message."""
+        far = self.newest_ns > 0 and stamp_ns > self.newest_ns + _FAR_NS
+        if not far or self.is_ahead:
+            self.newest_ns = max(self.newest_ns, stamp_ns)
+        self.is_ahead = far and not self.is_ahead
+        return self.newest_ns
 
 
 class Recorder(ManagedNode):
@@ -105,8 +118,8 @@ class Recorder(ManagedNode):
 
     def _attach_truth(self) -> None:
         channel = self._channels.get(self.resolve_topic_name(_TRUTH))
-        if channel and channel.last:
-            values = np.array(deserialize_message(channel.last, Float64MultiArray).data)
+        if channel and channel.latest:
+            values = np.array(deserialize_message(channel.latest[-1], Float64MultiArray).data)
             if len(values) != VECTOR_SIZE:
                 return
             text = json.dumps(from_vector(values), indent=1)
@@ -121,6 +134,7 @@ class Recorder(ManagedNode):
         stamped = is_stamped(kind) and not name.endswith('diagnostics')
         channel = self._channels.setdefault(name, _Channel(
             type_name, latched, stamped, source or name.rsplit('/', 1)[0]))
+        channel.known = set(channel.latest) if latched else set()
         channel.subscription = MatchedSubscription(
             self, kind, name, lambda batch: self._take(channel, batch), latched=latched, raw=True)
 
@@ -134,16 +148,17 @@ class Recorder(ManagedNode):
             self._subscribe(name, types[name][0], latched)
 
     def _take(self, channel: _Channel, batch: list[bytes]) -> None:
+        if channel.known:           # a latched message comes once more to who subscribes again
+            batch, given = [message for message in batch if message not in channel.known], batch
+            channel.known.difference_update(given)
         if channel.stamped:
-            for message in batch:
-                channel.newest_ns = max(channel.newest_ns, _stamp_ns(message))
-                channel.log_times_ns.append(channel.newest_ns)
+            channel.log_times_ns += [channel.log_time_ns(_stamp_ns(message)) for message in batch]
             self._newest_ns[channel.source] = max(channel.newest_ns,
                                                   self._newest_ns.get(channel.source, 0))
         else:
             channel.log_times_ns += [self._newest_ns.get(channel.source)] * len(batch)
         channel.messages += batch
-        channel.last = batch[-1]
+        channel.latest.extend(batch[-LATCHED.depth:])
         channel.count += len(batch)
         self._n_bytes += sum(map(len, batch))
         if self._n_bytes > _FLUSH_BYTES:
