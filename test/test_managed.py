@@ -4,6 +4,8 @@
 
 from pathlib import Path
 import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -165,3 +167,41 @@ def test_signal_ends_a_node_that_was_never_configured(start_once, peer):
     assert state(peer, 'waiting') == 'unconfigured'
     recorder.send_signal(signal.SIGINT)
     assert recorder.wait(PATIENCE_S) == 0
+
+
+# A node whose transition fails; argv: the step, the error.
+FAILING = """
+import sys
+from starcal_ros.nodes.managed import ManagedNode
+from starcal_ros.nodes.runtime import run
+from starcal_ros.parameter import ConfigError
+
+
+class Failing(ManagedNode):
+    def __init__(self):
+        super().__init__('failing')
+        setattr(self, sys.argv[1], self.fail)
+        self.start()
+        print('started', flush=True)
+
+    def fail(self):
+        raise {'ConfigError': ConfigError, 'Defect': ZeroDivisionError}[sys.argv[2]]('told')
+
+
+sys.exit(run(Failing))
+"""
+
+
+@pytest.mark.parametrize('step', ['configure', 'activate', 'deactivate'])
+@pytest.mark.parametrize('error, status', [('ConfigError', 2), ('Defect', 1)])
+def test_error_in_a_transition_is_not_swallowed(step, error, status):
+    process = subprocess.Popen([sys.executable, '-c', FAILING, step, error], text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    if step == 'deactivate':
+        assert process.stdout.readline() == 'started\n'
+        process.send_signal(signal.SIGINT)
+    errors = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == status
+    assert errors.strip().splitlines()[-1] == (
+        'error: told' if status == 2 else 'ZeroDivisionError: told')
+    assert ('Traceback' in errors) == (status == 1)
