@@ -16,6 +16,7 @@ COMMANDS = {
     'estimator': 'starcal_ros.nodes.estimator:main',
     'recorder': 'starcal_ros.nodes.recorder:main',
     'player': 'starcal_ros.nodes.player:main',
+    'watch': 'starcal_ros.nodes.watch:main',
 }
 
 
@@ -52,6 +53,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+        (f'share/{NAME}/config/viewers', sorted(glob('config/viewers/*'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         commands_elsewhere(),
     ],
