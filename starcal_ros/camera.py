@@ -33,6 +33,9 @@ INTRINSICS = ('u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
 INTRINSICS_KEYS = ('u0_px', 'v0_px', 'f_mm', 'k1', 'k2', 'p1', 'p2')
 """Their names in files."""
 
+_NEWTON_STEPS = 6
+_LAST_STEP = 1e-7       # of the focal length
+
 
 @dataclass(frozen=True)
 class Detector:
@@ -66,30 +69,42 @@ def project(r_s: Array, intrinsics: Array, pitch_mm: float) -> Array:
         Pixel pitch [mm].
     """
     u0, v0, f, *lens = (intrinsics[..., k, None] for k in range(7))
-    x, y = _distorted(-f * r_s[..., 0] / r_s[..., 2], -f * r_s[..., 1] / r_s[..., 2], *lens)
+    x, y, *_ = _distorted(-f * r_s[..., 0] / r_s[..., 2], -f * r_s[..., 1] / r_s[..., 2], *lens)
     return np.stack((u0 + x / pitch_mm, v0 + y / pitch_mm), axis=-1)
 
 
 def _distorted(x: Array, y: Array, k1: Array, k2: Array, p1: Array, p2: Array
-               ) -> tuple[Array, Array]:
-    """Return the distorted image point (x + x_d, y + y_d) [mm]."""
-    xx, yy, xy2 = x * x, y * y, 2.0 * x * y
-    rr = xx + yy
-    radial = 1.0 + rr * (k1 + k2 * rr)
-    return (x * radial + p1 * (rr + 2.0 * xx) + p2 * xy2,
-            y * radial + p2 * (rr + 2.0 * yy) + p1 * xy2)
+               ) -> tuple[Array, Array, Array, Array]:
+    """Return the distorted image point [mm], and for `_distorted_slope` the scale s and r^2.
+
+    Eq. 4 in the form ``x + x_d = x s + p1 r^2``, ``s = 1 + k1 r^2 + k2 r^4 + 2 (p1 x + p2 y)``.
+    """
+    rr = x * x + y * y
+    s = 1.0 + rr * (k1 + k2 * rr) + 2.0 * (p1 * x + p2 * y)
+    return x * s + p1 * rr, y * s + p2 * rr, s, rr
 
 
-def _distorted_slope(x: Array, y: Array, k1: Array, k2: Array, p1: Array, p2: Array
-                     ) -> tuple[Array, Array, Array]:
+def _distorted_slope(x: Array, y: Array, s: Array, rr: Array,
+                     k1: Array, k2: Array, p1: Array, p2: Array) -> tuple[Array, Array, Array]:
     """Return the derivatives xx, xy = yx, yy of `_distorted` by (x, y)."""
-    xx, yy = x * x, y * y
-    rr = xx + yy
-    radial, bend = 1.0 + rr * (k1 + k2 * rr), 2.0 * (k1 + 2.0 * k2 * rr)
-    p1_x, p1_y, p2_x, p2_y = 2.0 * p1 * x, 2.0 * p1 * y, 2.0 * p2 * x, 2.0 * p2 * y
-    return (radial + bend * xx + 3.0 * p1_x + p2_y,
-            bend * x * y + p1_y + p2_x,
-            radial + bend * yy + 3.0 * p2_y + p1_x)
+    # d s = (bend x + 2 p1) dx + (bend y + 2 p2) dy
+    bend = 2.0 * (k1 + 2.0 * k2 * rr)
+    bend_x, bend_y = bend * x, bend * y
+    return (s + x * (bend_x + 4.0 * p1), y * (bend_x + 2.0 * p1) + 2.0 * p2 * x,
+            s + y * (bend_y + 4.0 * p2))
+
+
+def _fill_lens_slope(out: Array, x: Array, y: Array, scale: float) -> None:
+    """Write scale times the derivative of `_distorted` by k1, k2, p1, p2 into out (..., 2, 4)."""
+    xx, yy = scale * x * x, scale * y * y
+    rr, r2 = xx + yy, x * x + y * y
+    out[..., 0, 0] = k1_x = x * rr
+    out[..., 1, 0] = k1_y = y * rr
+    out[..., 0, 1] = k1_x * r2
+    out[..., 1, 1] = k1_y * r2
+    out[..., 0, 2] = rr + 2.0 * xx
+    out[..., 1, 2] = out[..., 0, 3] = 2.0 * scale * x * y
+    out[..., 1, 3] = rr + 2.0 * yy
 
 
 def linearize(r_s: Array, intrinsics: Array, pitch_mm: float) -> tuple[Array, Array, Array]:
@@ -115,9 +130,9 @@ def linearize(r_s: Array, intrinsics: Array, pitch_mm: float) -> tuple[Array, Ar
     a, b = r_s[..., 0] / r_s[..., 2], r_s[..., 1] / r_s[..., 2]
     x, y = -f * a, -f * b
     uv = np.empty((*x.shape, 2))
-    x_distorted, y_distorted = _distorted(x, y, *lens)
+    x_distorted, y_distorted, s, rr = _distorted(x, y, *lens)
     uv[..., 0], uv[..., 1] = u0 + scale * x_distorted, v0 + scale * y_distorted
-    D_xx, D_xy, D_yy = (scale * slope for slope in _distorted_slope(x, y, *lens))
+    D_xx, D_xy, D_yy = (scale * slope for slope in _distorted_slope(x, y, s, rr, *lens))
 
     # d(a, b) / d Psi = [[-a b, 1 + a^2, -b], [-(1 + b^2), a b, a]], and x = -f a, y = -f b.
     H_rotation = np.empty((*x.shape, 2, 3))
@@ -133,15 +148,7 @@ def linearize(r_s: Array, intrinsics: Array, pitch_mm: float) -> tuple[Array, Ar
     H_intrinsics[..., 0, 0] = H_intrinsics[..., 1, 1] = 1.0
     H_intrinsics[..., 0, 2] = -(D_xx * a + D_xy * b)
     H_intrinsics[..., 1, 2] = -(D_xy * a + D_yy * b)
-    xx, yy = scale * x * x, scale * y * y
-    rr = xx + yy
-    H_intrinsics[..., 0, 3] = k1_x = x * rr
-    H_intrinsics[..., 1, 3] = k1_y = y * rr
-    H_intrinsics[..., 0, 4] = k1_x * rr * pitch_mm
-    H_intrinsics[..., 1, 4] = k1_y * rr * pitch_mm
-    H_intrinsics[..., 0, 5] = rr + 2.0 * xx
-    H_intrinsics[..., 1, 5] = H_intrinsics[..., 0, 6] = 2.0 * scale * x * y
-    H_intrinsics[..., 1, 6] = rr + 2.0 * yy
+    _fill_lens_slope(H_intrinsics[..., 3:], x, y, scale)
     return uv, H_rotation, H_intrinsics
 
 
@@ -151,15 +158,84 @@ def unproject(uv: Array, intrinsics: Array, pitch_mm: float) -> Array:
     Inverts the distortion by Newton's method, which converges for any distortion that is a small
     part of the image, as a lens's is.
     """
+    x, y, f = _undistorted(uv, intrinsics, pitch_mm)
+    return _ray(x, y, f)[0]
+
+
+def _ray(x: Array, y: Array, f: Array) -> tuple[Array, Array]:
+    """Return the unit directions (..., 3) of undistorted points, and 1 / |(-x, -y, f)|."""
+    inverse = 1.0 / np.sqrt(x * x + y * y + f * f)
+    r_s = np.empty((*x.shape, 3))
+    r_s[..., 0], r_s[..., 1], r_s[..., 2] = -x * inverse, -y * inverse, f * inverse
+    return r_s, inverse
+
+
+def _undistorted(uv: Array, intrinsics: Array, pitch_mm: float) -> tuple[Array, Array, Array]:
+    """Return the undistorted image point x, y (..., n) and f (..., 1) [mm]."""
     u0, v0, f, *lens = (intrinsics[..., k, None] for k in range(7))
     x_m, y_m = (uv[..., 0] - u0) * pitch_mm, (uv[..., 1] - v0) * pitch_mm
-    x, y = x_m, y_m
-    for _ in range(6):
-        x_distorted, y_distorted = _distorted(x, y, *lens)
+    x_distorted, y_distorted, *_ = _distorted(x_m, y_m, *lens)
+    x, y = 2.0 * x_m - x_distorted, 2.0 * y_m - y_distorted
+    for _ in range(_NEWTON_STEPS):
+        x_distorted, y_distorted, s, rr = _distorted(x, y, *lens)
         e_x, e_y = x_distorted - x_m, y_distorted - y_m
-        D_xx, D_xy, D_yy = _distorted_slope(x, y, *lens)
-        determinant = D_xx * D_yy - D_xy * D_xy
-        x = x - (D_yy * e_x - D_xy * e_y) / determinant
-        y = y - (D_xx * e_y - D_xy * e_x) / determinant
-    r_s = np.stack(np.broadcast_arrays(-x, -y, f), axis=-1)
-    return r_s / np.linalg.norm(r_s, axis=-1, keepdims=True)
+        D_xx, D_xy, D_yy = _distorted_slope(x, y, s, rr, *lens)
+        inverse = 1.0 / (D_xx * D_yy - D_xy * D_xy)
+        step_x, step_y = (D_yy * e_x - D_xy * e_y) * inverse, (D_xx * e_y - D_xy * e_x) * inverse
+        x, y = x - step_x, y - step_y
+        # The error squares with each step: after one this small it is below rounding.
+        if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) <= (
+                _LAST_STEP * f.min()):
+            break
+    return x, y, f
+
+
+def backproject(uv: Array, intrinsics: Array, pitch_mm: float) -> tuple[Array, Array, Array]:
+    """Return the unit directions of centroids, as `unproject`, and their derivatives.
+
+    The undistorted point (x, y) is where `_distorted` is the measured one, m = (uv - uv0) d. By
+    the implicit function theorem, with the slope D of the distortion there ::
+
+        d(x, y)/d m = D^-1,     d(x, y)/d lens = -D^-1 d(x_d, y_d)/d lens
+
+    Parameters
+    ----------
+    uv : (..., n, 2) array
+        Centroids [px].
+    intrinsics, pitch_mm
+        As for `project`.
+
+    Returns
+    -------
+    w_s : (..., n, 3) array
+        Unit directions in s.
+    dw_duv : (..., n, 3, 2) array
+        d w_s / d uv at a fixed camera [1/px].
+    dw_dintrinsics : (..., n, 3, 7) array
+        d w_s / d intrinsics at fixed centroids.
+    """
+    x, y, f = _undistorted(uv, intrinsics, pitch_mm)
+    lens = [intrinsics[..., k, None] for k in range(3, 7)]
+    _, _, s, rr = _distorted(x, y, *lens)
+    D_xx, D_xy, D_yy = _distorted_slope(x, y, s, rr, *lens)
+    inverse = np.empty((*x.shape, 2, 2))
+    determinant = D_xx * D_yy - D_xy * D_xy
+    inverse[..., 0, 0], inverse[..., 1, 1] = D_yy / determinant, D_xx / determinant
+    inverse[..., 0, 1] = inverse[..., 1, 0] = -D_xy / determinant
+
+    # q = (-x, -y, f), w = q / |q|, dw = (I - w w') dq / |q|.
+    w_s, shrink = _ray(x, y, f)
+    across = (np.eye(3) - w_s[..., :, None] * w_s[..., None, :]) * shrink[..., None, None]
+    dw_duv = -pitch_mm * across[..., :2] @ inverse
+    lens_slope = np.empty((*x.shape, 2, 4))
+    _fill_lens_slope(lens_slope, x, y, 1.0 / pitch_mm)
+    return w_s, dw_duv, np.concatenate(
+        (-dw_duv, across[..., 2:], -dw_duv @ lens_slope), axis=-1)
+
+
+def distortion(uv: Array, intrinsics: Array, pitch_mm: float) -> Array:
+    """Return the distortion, (..., n, 2) [px], of undistorted image points uv (..., n, 2) [px]."""
+    u0, v0, _, *lens = (intrinsics[..., k, None] for k in range(7))
+    x, y = (uv[..., 0] - u0) * pitch_mm, (uv[..., 1] - v0) * pitch_mm
+    x_distorted, y_distorted, *_ = _distorted(x, y, *lens)
+    return np.stack((x_distorted - x, y_distorted - y), axis=-1) / pitch_mm

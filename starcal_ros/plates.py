@@ -65,9 +65,7 @@ class Plates:
 
     def which(self, part: NDArray[np.bool_]) -> Plates:
         """Return some of the images."""
-        rows = np.flatnonzero(part).tolist()
-        return Plates(tuple(self.names[k] for k in rows),
-                      Frames.concatenate([self.frames[k:k + 1] for k in rows]),
+        return Plates(tuple(np.array(self.names)[part].tolist()), self.frames.take(part),
                       self.heldout[part])
 
 

@@ -2,13 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bundle adjustment is least squares, says the truth about its error, and lets go of spots."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from starcal_ros import bundle, camera, rotation
+from starcal_ros import bundle, calibration, camera, parameter_file, rotation
 from starcal_ros.bundle import Spots, adjust
+from starcal_ros.calibration import bundle as bundle_method
+from starcal_ros.measurements import GyroSamples
+from starcal_ros.simulation import sensors
+
+CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 
 PITCH, TRUE = 0.00645, np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
 GATE, SIGMA = float(chi2.ppf(0.9999, 2)), 0.05
@@ -156,3 +164,39 @@ def test_attitudes_solve_wahbas_problem():
     np.testing.assert_allclose(found, C_si, atol=1e-9)
     mirrored = bundle.wahba(np.diag([1.0, 1.0, -1.0]))
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
+
+
+@pytest.fixture(scope='module')
+def nameless():
+    """Return the gyro readings and the nameless frames of two slews, and the scenario."""
+    scenario = parameter_file.load(CONFIG).replace({
+        'simulation.duration_s': 200.0, 'intrinsics.method': 'bundle',
+        'camera.focal_length_mm': 23.0, 'estimator.initial_sigma.focal_length_mm': 2.5})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    frames = tracker.next(tracker.count)
+    return gyro.next(gyro.count), replace(frames, catalog_id=0 * frames.catalog_id), scenario
+
+
+def test_spots_without_a_name_give_camera_and_distortion(nameless):
+    """From a focal length that is a tenth wrong, with the gyro and without."""
+    gyro, frames, scenario = nameless
+    found = []
+    for readings in (gyro, GyroSamples.empty()):
+        method = calibration.start(scenario)
+        method.add_gyro(readings)
+        method.add_frames(frames)
+        found.append(method.estimate())
+    error = found[0].intrinsics - TRUE
+    assert error @ np.linalg.solve(found[0].covariance, error) < 24.3   # 0.999 of chi-square, 7
+    assert found[0].sigma[2] < 0.03 and found[0].sigma[3] < 0.02 * TRUE[3]
+    np.testing.assert_allclose((found[1].intrinsics - found[0].intrinsics) / found[0].sigma, 0.0,
+                               atol=0.05)
+    assert 0.95 * bundle_method.FRAMES < found[0].frames <= bundle_method.FRAMES
+
+
+def test_frames_that_show_nothing_give_no_camera(nameless):
+    gyro, frames, scenario = nameless
+    method = calibration.start(scenario)
+    assert method.estimate() is None
+    method.add_frames(frames[:2])
+    assert method.estimate() is None

@@ -85,6 +85,42 @@ def test_unproject_inverts_project(directions):
     np.testing.assert_allclose(camera.unproject(uv, T18, PITCH), unit, atol=1e-14)
 
 
+def test_backproject_gives_the_same_directions_as_unproject(directions):
+    uv = camera.project(directions, T18, PITCH)
+    np.testing.assert_array_equal(camera.backproject(uv, T18, PITCH)[0],
+                                  camera.unproject(uv, T18, PITCH))
+
+
+def test_backprojection_jacobians_agree_with_central_differences(directions):
+    uv = camera.project(directions, T18, PITCH)
+    _, by_uv, by_intrinsics = camera.backproject(uv, T18, PITCH)
+    numeric = np.stack([(camera.unproject(uv + step, T18, PITCH)
+                         - camera.unproject(uv - step, T18, PITCH)) / 2.0
+                        for step in np.eye(2)], axis=-1)
+    # A step of 1 px is 2.5e-4 rad: the third derivative enters with its square, 6e-8.
+    np.testing.assert_allclose(by_uv, numeric, atol=1e-7 * np.abs(numeric).max())
+    step = np.array([1.0, 1.0, 1e-2, 1e-6, 1e-8, 1e-6, 1e-6])
+    numeric = np.stack([(camera.unproject(uv, T18 + step * axis, PITCH)
+                         - camera.unproject(uv, T18 - step * axis, PITCH))
+                        / (2 * step @ axis) for axis in np.eye(7)], axis=-1)
+    scale = np.abs(numeric).max(axis=(0, 1))
+    np.testing.assert_allclose(by_intrinsics / scale, numeric / scale, atol=1e-6)
+
+
+def test_moving_a_star_and_moving_the_camera_under_it_are_inverse(directions):
+    """At a fixed direction 0 = dw/duv duv/dp + dw/dp: the implicit function theorem itself."""
+    uv, _, H = camera.linearize(directions, T18, PITCH)
+    _, by_uv, by_intrinsics = camera.backproject(uv, T18, PITCH)
+    scale = np.abs(by_intrinsics).max(axis=(0, 1))
+    np.testing.assert_allclose((by_uv @ H) / scale, -by_intrinsics / scale, atol=1e-12)
+
+
+@pytest.mark.parametrize('uv', [np.empty((0, 2)), np.zeros((1, 2))])
+def test_backproject_takes_no_star_and_one(uv):
+    shapes = [part.shape for part in camera.backproject(uv, T18, PITCH)]
+    assert shapes == [(len(uv), 3), (len(uv), 3, 2), (len(uv), 3, 7)]
+
+
 def test_leading_axes_are_batches(directions):
     batch = np.stack((T18, PINHOLE))
     r_s = np.stack((directions, 1.1 * directions))
@@ -92,6 +128,13 @@ def test_leading_axes_are_batches(directions):
         for run in range(2):
             np.testing.assert_array_equal(
                 part[run], camera.linearize(r_s[run], batch[run], PITCH)[k])
+    uv = camera.project(r_s, batch, PITCH)
+    for k, part in enumerate(camera.backproject(uv, batch, PITCH)):
+        for run in range(2):
+            # the runs share the number of Newton steps
+            np.testing.assert_allclose(
+                part[run], camera.backproject(uv[run], batch[run], PITCH)[k], rtol=1e-12,
+                atol=1e-15)
 
 
 def test_detector_contains_its_pixels_to_their_outer_edge():
@@ -99,3 +142,10 @@ def test_detector_contains_its_pixels_to_their_outer_edge():
     inside = detector.contains(np.array([[512.0, 384.0], [512.1, 0.0], [0.0, -384.1]]))
     assert inside.tolist() == [True, False, False]
     np.testing.assert_array_equal(detector.centre_raster, [511.5, 383.5])
+
+
+def test_distortion_is_what_the_lens_adds_to_the_pinhole(directions):
+    pinhole = np.concatenate((T18[:3], np.zeros(4)))
+    uv = camera.project(directions, pinhole, PITCH)
+    np.testing.assert_allclose(camera.distortion(uv, T18, PITCH),
+                               camera.project(directions, T18, PITCH) - uv, atol=1e-11)

@@ -247,3 +247,14 @@ def test_diagnostics_say_what_the_verdict_says(run):
     assert values['correlation_u0_psi_y'] == f'{verdicts["end"].u0_psi_y:.4f}'
     assert values['sigma_u0'].endswith('px, tolerance 0.1')
     assert set(values) >= {f'sigma_{name}' for name in STATE_NAMES}
+
+
+def test_equivalent_principal_point_is_what_is_left_of_u0_and_psi_y():
+    """Eq. (V.1): a pixel of u0 is made up for by d / f of Psi_y, one of v0 by -d / f of Psi_x."""
+    error = np.zeros((N_STATES, 3))
+    error[[INDEX['u0'], INDEX['v0']], 0] = 1.0
+    error[INDEX['u0'], 1], error[INDEX['psi_y'], 1] = 1.0, 1.0 / PIXELS_A_RADIAN
+    error[INDEX['v0'], 2], error[INDEX['psi_x'], 2] = 1.0, -1.0 / PIXELS_A_RADIAN
+    lens, pitch_mm = FILTER.start.intrinsics, FILTER.detector.pitch_mm
+    np.testing.assert_allclose(verdict.equivalent(error, lens, pitch_mm),
+                               [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], atol=1e-12)

@@ -2,25 +2,47 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reference method: all frames at once, an attitude for each, see `starcal_ros.bundle`.
 
-Where stars are identified they alone are used, at their apparent places.
+Where stars are identified they alone are used, at their apparent places. Where none is, the spots
+are followed from frame to frame (`spots`), and the directions of the tracks are unknowns as well:
+the self-calibration that leaves nothing out. It takes FRAMES of the frames then, evenly spread;
+more of them would lie too close together to tell much that is new.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import camera
-from starcal_ros.bundle import Adjusted, adjust, attitudes, identified
+from starcal_ros.bundle import MIN_STARS, Adjusted, Spots, adjust, attitudes, identified
 from starcal_ros.camera_estimate import CameraEstimate, beginning
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.places import Places
+from starcal_ros.spots import SpotTracker
+
+Array = NDArray[np.float64]
+
+FRAMES = 400
+"""Frames of spots without a name that are used, at most."""
+
+_SIGHTINGS = 3          # frames that must show a track: two can be fitted whatever they are
 
 
 def start(scenario: Scenario, known: CameraEstimate | None = None) -> Bundle:
     """Begin a bundle adjustment of the camera."""
     return Bundle(scenario, known)
+
+
+class _Start(NamedTuple):
+    """Spots, and where their adjustment begins."""
+
+    spots: Spots
+    C_si: Array
+    points: Array
 
 
 class Bundle:
@@ -36,16 +58,21 @@ class Bundle:
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
         self._prior = beginning(scenario, known)
+        u0, v0, f, *distortion = self._prior.intrinsics.tolist()
+        self._scenario = scenario.replace({
+            'camera.principal_point_px': (u0, v0), 'camera.focal_length_mm': f,
+            'camera.distortion': tuple(distortion)})
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._gate = float(chi2.ppf(scenario.estimator.gate_probability, 2))
         self._places = Places(scenario)
         self._frames: list[Frames] = []
+        self._gyro: list[GyroSamples] = []
         self._notices: dict[object, str] = {}
         self._named: set[object] = set()
-        self.adjusted: Adjusted | None = None
 
     def add_gyro(self, samples: GyroSamples) -> None:
-        """Take gyro samples; they are of no use here."""
+        """Take gyro samples; they help to follow spots without a name."""
+        self._gyro.append(samples)
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames."""
@@ -59,21 +86,62 @@ class Bundle:
     def estimate(self) -> CameraEstimate | None:
         """Adjust the camera to all frames so far; None while no frame has stars enough."""
         frames = Frames.concatenate(self._frames)
+        named = (frames.catalog_id > 0).any()
+        start_ = self._from_places(frames) if named else self._from_tracks(frames)
+        if start_ is None:
+            return None
+        adjusted: Adjusted = adjust(start_.spots, self._prior.intrinsics, start_.C_si,
+                                    start_.points, self._pitch_mm, self._prior.covariance,
+                                    self._gate)
+        used = int(adjusted.used.sum())
+        if used < len(adjusted.used):
+            self._notice('refused', f'{len(adjusted.used) - used} of {len(adjusted.used)} stars '
+                         'refused')
+        return CameraEstimate(adjusted.intrinsics, adjusted.covariance, len(adjusted.C_si), used)
+
+    def _from_places(self, frames: Frames) -> _Start | None:
         placed = self._places.of(frames)
         for key, text in placed.notices:
             self._notice(key, text)
         spots = identified(frames, placed)
         if not len(spots.frame):
             return None
-        begin = self._prior.intrinsics if self.adjusted is None else self.adjusted.intrinsics
-        C_si = attitudes(spots, camera.unproject(spots.uv, begin, self._pitch_mm))
-        self.adjusted = adjust(spots, self._prior.intrinsics, C_si, np.empty((0, 3)),
-                               self._pitch_mm, self._prior.covariance, self._gate)
-        refused = int((~self.adjusted.used).sum())
-        if refused:
-            self._notice('refused', f'{refused} of {len(spots.frame)} stars refused')
-        return CameraEstimate(self.adjusted.intrinsics, self.adjusted.covariance,
-                              len(self.adjusted.C_si), len(spots.frame) - refused)
+        r_s = camera.unproject(spots.uv, self._prior.intrinsics, self._pitch_mm)
+        return _Start(spots, attitudes(spots, r_s), np.empty((0, 3)))
+
+    def _from_tracks(self, frames: Frames) -> _Start | None:
+        fresh = np.diff(np.maximum.accumulate(frames.stamp_ns), prepend=np.iinfo(np.int64).min) > 0
+        frames = frames.take(fresh)
+        if len(frames) < _SIGHTINGS:
+            return None
+        gyro = GyroSamples.concatenate(self._gyro)
+        reached = len(gyro) and gyro.stamp_ns[-1] >= frames.stamp_ns[-1]
+        followed = SpotTracker(self._scenario).follow(frames, gyro if reached else None)
+        C_si = followed.turn.copy()
+        for k in range(1, len(C_si)):
+            C_si[k] = C_si[k] @ C_si[k - 1]
+        frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+        chosen = np.zeros(len(frames), bool)
+        chosen[np.linspace(0, len(frames) - 1, min(FRAMES, len(frames))).astype(int)] = True
+        use = chosen[frame] & (followed.track >= 0)
+        while True:     # what a frame or a track lacks may take the other below its least
+            sightings = np.bincount(followed.track[use], minlength=followed.track.max() + 1)
+            stars = np.bincount(frame[use], minlength=len(frames))
+            poor = use & ((sightings[followed.track] < _SIGHTINGS) | (stars[frame] < MIN_STARS))
+            if not poor.any():
+                break
+            use &= ~poor
+        if not use.any():
+            return None
+        uv, sigma, _ = self._places.centroids(frames)
+        kept, number = np.unique(frame[use], return_inverse=True)
+        point = np.unique(followed.track[use], return_inverse=True)[1]
+        spots = Spots(number, uv[use], sigma[use], np.zeros((len(number), 3)), point)
+        r_s = camera.unproject(spots.uv, self._prior.intrinsics, self._pitch_mm)
+        points = np.zeros((point.max() + 1, 3))
+        np.add.at(points, point, (np.swapaxes(C_si[frame[use]], -1, -2) @ r_s[..., None])[..., 0])
+        return _Start(spots, C_si[kept],
+                      points / np.linalg.norm(points, axis=-1, keepdims=True))
 
     def _notice(self, key: object, text: str) -> None:
         if key not in self._named:

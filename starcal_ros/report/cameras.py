@@ -33,6 +33,22 @@ def camera(result: dict[str, Any], truth: dict[str, Any] | None, title: str) -> 
     return out
 
 
+def chain(steps: list[dict[str, Any]], truth: dict[str, Any] | None, title: str) -> Table:
+    """Return the camera after each step: its error where the truth is known, and its sigma."""
+    out = _table(title, ('state', 'unit', *(f'{step["step"]}' for step in steps)))
+    out.caption = ('error ± sigma' if truth else 'estimate ± sigma') + ' after each step'
+    for label, unit, key in zip(LABELS[6:], UNITS[6:], INTRINSICS_KEYS):
+        cells = []
+        for step in steps:
+            value, sigma = step['intrinsics'][key], step['intrinsics_sigma'][key]
+            shown = short(value - truth['intrinsics'][key]) if truth else Row(
+                label, unit, np.nan, value, np.nan, sigma).places(value)
+            cells.append(f'{shown} ± {short(sigma)}' if sigma else f'{shown} held')
+        out.add_row(label, unit, *cells)
+    out.add_row('frames', '', *(str(step['counts']['frames']) for step in steps))
+    return out
+
+
 def plates(result: dict[str, Any], title: str) -> Table:
     """Return the camera of still images in OpenCV's model, with the residuals that it leaves."""
     out = _table(title, ('parameter', 'unit', 'estimate', 'sigma'))
