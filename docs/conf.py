@@ -18,9 +18,12 @@ extensions = ['mathml', 'myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.autosum
 exclude_patterns = ['_ext', '_templates']
 templates_path = ['_templates']
 default_role = 'py:obj'
+highlight_language = 'none'
 
 html_theme = 'furo'
 html_math_renderer = 'mathml'
+html_static_path = ['_static']
+html_css_files = ['starcal.css']
 html_title = f'starcal_ros {version}'
 
 myst_enable_extensions = ['dollarmath']
