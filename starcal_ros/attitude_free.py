@@ -212,7 +212,7 @@ class AttitudeFree:
                           partial(camera.linearize, pitch_mm=pitch_mm))
         self._measure, self._min_stars = measure, min_stars
         estimated = np.isin(camera.INTRINSICS, scenario.intrinsics.estimate)
-        self._first = Belief(begun.intrinsics, kalman.root(begun.covariance))
+        self._first = Belief(begun.intrinsics, kalman.root_of(begun.covariance))
         self._density = options.density[-len(estimated):] * estimated
         self._gate = options.gate
         self._patience = scenario.estimator.reacquire_after_frames

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import calibration, preintegration
+from starcal_ros.calibration import predicted_centroid
 from starcal_ros.camera_estimate import CameraEstimate, beginning
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import LENS
@@ -127,7 +128,7 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     camera = step('angular distances', numbered[:len(second)], camera,
                   method='angular_distance', weighting='full')
     on_progress(0.75)
-    stream = Stream(scenario, camera)
+    stream = predicted_centroid.begin(scenario, camera)
     stream.add_gyro(gyro)
     stream.add_frames(numbered[len(second):])
     for _ in stream.process():

@@ -58,6 +58,13 @@ def beginning(scenario: Scenario, known: CameraEstimate | None = None) -> Camera
     return replace(known, covariance=np.where(np.outer(free, free), known.covariance, 0.0))
 
 
+def with_camera(scenario: Scenario, values: Array) -> Scenario:
+    """Return a scenario with other intrinsics, (7,), as its nominal ones."""
+    u0, v0, f, *distortion = values.tolist()
+    return scenario.replace({'camera.principal_point_px': (u0, v0), 'camera.focal_length_mm': f,
+                             'camera.distortion': tuple(distortion)})
+
+
 class CameraMethod(Protocol):
     """A calibration in progress; ``start`` of each calibration method makes one."""
 

@@ -55,7 +55,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import augmentation, camera, kalman, process_noise, rotation
-from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import ProcessNoiseConfig, Scenario, SigmaConfig
 from starcal_ros.measurements import Stars
 from starcal_ros.preintegration import Preintegrated
@@ -239,12 +238,11 @@ class Filter:
     ----------
     scenario : Scenario
         Nominal values and estimator options.
-    known : CameraEstimate, optional
-        What another calibration found, from other frames; taken in place of the nominal camera
-        and its initial sigmas.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
     """
 
-    def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
+    def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
         options = scenario.estimator
         self.detector = detector(scenario.camera)
         self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
@@ -253,27 +251,25 @@ class Filter:
         self.feedback = options.feedback
         augmented = augmentation.initial_sigma(options.augment)
         self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
-                             mounting_matrix(scenario.mounting),
-                             known.intrinsics if known else intrinsics(scenario.camera),
+                             mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
                              np.zeros_like(augmented))
         self.initial_sigma = np.concatenate((
             np.full(3, SIGMA_ACQUIRED), _vector(options.initial_sigma), augmented))
-        self.scale = _SCALES[:len(self.initial_sigma)]
-        self._initial_root = np.diag(self.initial_sigma / self.scale)
-        if known:
-            self.initial_sigma[LENS] = known.sigma
-            self._initial_root[LENS, LENS] = kalman.root(
-                known.covariance / np.outer(SCALE[LENS], SCALE[LENS]))
         self.tolerance = _vector(options.tolerance)
         self.density = _vector(options.process_noise) / 60.0        # of the walks, per sqrt(s)
         self.has_matrix = augmentation.has_matrix(len(augmented))
+        self.scale = _SCALES[:len(self.initial_sigma)]
+        self._start_root = np.diag(self.initial_sigma / self.scale)
+        if covariance is not None:
+            self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
+                covariance / np.outer(SCALE[CALIBRATED], SCALE[CALIBRATED]))
         half = 0.5 * np.hypot(self.detector.width, self.detector.height) * self.detector.pitch_mm
         self._cos_field = float(np.cos(np.arctan(_FIELD * half / scenario.camera.focal_length_mm)))
 
     def begin(self, C_gi: Array) -> Belief:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
         batch, n, start = C_gi.shape[:-2], len(self.scale), self.start
-        root = np.broadcast_to(self._initial_root, (*batch, n, n))
+        root = np.broadcast_to(self._start_root, (*batch, n, n))
         nominal = Nominal(C_gi, *(
             np.broadcast_to(part, (*batch, *part.shape))
             for part in (start.bias, start.C_sg, start.intrinsics, start.augmented)))

@@ -62,8 +62,8 @@ def predict(root: Array, Phi: Array, Q_root: Array) -> Array:
     return np.swapaxes(triangle, -1, -2)
 
 
-def root(covariance: Array) -> Array:
-    """Return a root, (..., n, n), of a covariance, which may be singular."""
+def root_of(covariance: Array) -> Array:
+    """Return a root, (..., n, n), of a covariance; what rounding made negative in it is zero."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
 

@@ -112,6 +112,11 @@ def no_attitude(stream: Stream) -> str:
             f'{counts.unusable_stars} stars unusable), {stream.waiting} frames waiting for gyro')
 
 
+def dumps(values: dict[str, Any]) -> str:
+    """Return a dictionary as JSON; NaN and infinity are refused."""
+    return json.dumps(values, indent=1, allow_nan=False) + '\n'
+
+
 def write_json(path: str | Path, values: dict[str, Any]) -> None:
     """Write a dictionary as JSON; NaN and infinity are refused.
 
@@ -120,9 +125,8 @@ def write_json(path: str | Path, values: dict[str, Any]) -> None:
     CalibrationError
         Where the file cannot be written.
     """
-    text = json.dumps(values, indent=1, allow_nan=False) + '\n'
     try:
-        Path(path).write_text(text, encoding='utf-8')
+        Path(path).write_text(dumps(values), encoding='utf-8')
     except OSError as error:
         raise CalibrationError(f'{path}: cannot be written: {error.strerror}') from None
 

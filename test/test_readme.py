@@ -52,9 +52,12 @@ def test_ros2_run_finds_the_executable_and_its_parameters(words):
         assert not word.startswith('config/') or (TOP / word).is_file()
 
 
-def test_ros2_launch_finds_the_file():
-    for _, package, name in (words for words in of('ros2') if words[0] == 'launch'):
-        assert package == 'starcal_ros' and (TOP / 'launch' / name).is_file()
+def test_ros2_launch_finds_the_file_and_its_arguments():
+    for _, package, name, *arguments in (words for words in of('ros2') if words[0] == 'launch'):
+        assert package == 'starcal_ros'
+        text = (TOP / 'launch' / name).read_text()
+        for argument in arguments:
+            assert re.search(rf"DeclareLaunchArgument\(\s*'{argument.split(':=')[0]}'", text)
 
 
 @pytest.mark.parametrize('page', PAGES)

@@ -5,6 +5,7 @@
 import json
 from pathlib import Path
 import re
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
@@ -43,6 +44,14 @@ def field_type(name, path):
 def assert_plottable(topic, path):
     """Check that a topic has a field, and that it is a number or a text."""
     assert field_type(TOPICS[topic].type_name, path)[0] == Nodetype.BASE, (topic, path)
+
+
+def calibration_status():
+    """Return the diagnostics that an estimator without a namespace publishes."""
+    from rclpy.clock import Clock
+    from starcal_ros.nodes.diagnostics import Diagnostics
+    node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
+    return Diagnostics(node, []).message(Stream(SCENARIO), enabled=True).status[0]
 
 
 def state_of(index):
@@ -98,9 +107,7 @@ def test_foxglove_state_paths_are_the_states_of_their_labels(foxglove):
 
 
 def test_foxglove_shows_the_diagnostics_that_the_estimator_publishes(foxglove):
-    from builtin_interfaces.msg import Time
-    from starcal_ros.nodes.diagnostics import diagnostics
-    status = diagnostics(Stream(SCENARIO), Time(), enabled=True).status[0]
+    status = calibration_status()
     panel = foxglove['configById']['DiagnosticStatusPanel!verdict']
     assert panel == {'topicToRender': '/diagnostics', 'selectedHardwareId': status.hardware_id,
                      'selectedName': status.name}
@@ -117,9 +124,7 @@ def plotjuggler():
 def assert_series(name):
     """Check a series as PlotJuggler names it: the topic and the path to the field, by slashes."""
     if name.startswith('/diagnostics/'):
-        from builtin_interfaces.msg import Time
-        from starcal_ros.nodes.diagnostics import diagnostics
-        status = diagnostics(Stream(SCENARIO), Time(), enabled=True).status[0]
+        status = calibration_status()
         values = {item.key: item.value for item in status.values}
         prefix, key = name.rsplit('/', 1)
         assert prefix == f'/diagnostics/{status.hardware_id}/{status.name}'

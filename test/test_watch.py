@@ -19,7 +19,7 @@ from rich.console import Console
 from starcal_ros import cli, demo, parameter_file, ros_conventions
 from starcal_ros.calibration import predicted_centroid
 from starcal_ros.estimator import N_STATES, STATE_NAMES
-from starcal_ros.report.watch import STATE_SIZE, Rates, Seen, render, star_map, tolerances
+from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
@@ -95,27 +95,18 @@ def test_states_stand_beside_their_tolerances():
     assert 'last frame 2026-07-02T12:00:00.250 UTC' in '\n'.join(lines)
 
 
-def test_view_has_verdict_counts_and_what_can_not_be_told_apart():
-    shown = text(Seen(stars=stars((1, 1, 0.3, 0.4, 1, 1), (9, 9, 7, 7, 99, 0)), size=(64, 64),
-                      level=0, message='not yet: [bold]f[/bold]', silent_s=0.0,
-                      values={'rejected_stars': '3', 'not_told_apart': 'u0, psi_y: rotate',
-                              'reprojection_rms_px': '0.1 0.2'}, rates_hz={'gyro': 99.96}))
-    for part in ('not yet: [bold]f[/bold]\n', 'gyro 100.0 Hz', 'rejected stars 3',
-                 'not told apart: u0, psi_y: rotate', 'reprojection 0.1 0.2 px',
-                 '1 of 2 stars used, 0.3 0.4 px'):
+def test_view_has_verdict_inputs_counts_and_what_can_not_be_told_apart():
+    shown = text(Seen(
+        stars=stars((1, 1, 0.3, 0.4, 1, 1), (9, 9, 7, 7, 99, 0)), size=(64, 64), level=0,
+        message='not yet: [bold]f[/bold]', silent_s=0.0,
+        values={'rejected_stars': '3', 'not_told_apart': 'u0, psi_y: rotate',
+                'reprojection_rms_px': '0.1 0.2'},
+        inputs_message='/b is silent for 4 s',
+        inputs={'/a/imu/data_raw messages_per_second': '9.5', '/a/imu/data_raw messages': '95'}))
+    for part in ('not yet: [bold]f[/bold]\n', '/b is silent for 4 s, imu/data_raw 9.5 Hz, repro',
+                 'rejected stars 3', 'not told apart: u0, psi_y: rotate',
+                 'reprojection 0.1 0.2 px', '1 of 2 stars used, 0.3 0.4 px'):
         assert part in shown
-
-
-def test_rates_are_those_of_the_last_seconds_and_begin_again_with_the_estimator():
-    rates = Rates()
-    assert rates.add(0.0, {'gyro': '0', 'frames': '0'}) == {}
-    for t in range(1, 21):
-        n = 50 * min(t, 10) + 100 * max(t - 10, 0)
-        found = rates.add(float(t), {'gyro': str(n), 'frames': str(2 * t)})
-        assert found['gyro'] == (50.0 if t <= 10 else 100.0 if t >= 15 else found['gyro'])
-    assert found == {'gyro': 100.0, 'frames': 2.0}
-    assert rates.add(21.0, {'gyro': '5', 'frames': '0'}) == {}
-    assert rates.add(21.5, {}) == {}
 
 
 # Over ROS 2

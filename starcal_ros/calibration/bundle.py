@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from starcal_ros import camera
 from starcal_ros.bundle import MIN_STARS, Adjusted, Spots, adjust, attitudes, identified
-from starcal_ros.camera_estimate import CameraEstimate, beginning
+from starcal_ros.camera_estimate import CameraEstimate, beginning, with_camera
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.places import Places
@@ -58,10 +58,7 @@ class Bundle:
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
         self._prior = beginning(scenario, known)
-        u0, v0, f, *distortion = self._prior.intrinsics.tolist()
-        self._scenario = scenario.replace({
-            'camera.principal_point_px': (u0, v0), 'camera.focal_length_mm': f,
-            'camera.distortion': tuple(distortion)})
+        self._scenario = with_camera(scenario, self._prior.intrinsics)
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._gate = float(chi2.ppf(scenario.estimator.gate_probability, 2))
         self._places = Places(scenario)

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import sys
 import time
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rich.console import Console, RenderableType
@@ -24,7 +24,7 @@ from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.nodes import runtime
-from starcal_ros.report.watch import STAR_FIELDS, STATE_SIZE, Rates, Seen, render
+from starcal_ros.report.watch import STAR_FIELDS, STATE_SIZE, Seen, render
 
 _DRAW_S = 0.25
 _PIPE_COLUMNS = 100
@@ -38,9 +38,9 @@ _KINDS = {PointField.FLOAT64: 'f8', PointField.FLOAT32: 'f4', PointField.UINT32:
 class Watch(Node):
     """Draw what the estimator says."""
 
-    def __init__(self) -> None:
-        super().__init__('watch')
-        self._seen, self._rates, self._heard = Seen(), Rates(), -np.inf
+    def __init__(self, **options: Any) -> None:
+        super().__init__('watch', **options)
+        self._seen, self._heard_s = Seen(), -np.inf
         for kind, topic, take, qos in (
                 (Float64MultiArray, 'starcal/state', self._take_state, _LATCHED),
                 (PointCloud2, 'starcal/residuals', self._take_stars, _LATCHED),
@@ -54,7 +54,7 @@ class Watch(Node):
                           auto_refresh=False)
         if self._console.is_terminal:
             self._live.start()
-            self.create_timer(_DRAW_S, self._draw, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            runtime.steady_timer(self, _DRAW_S, self._draw)
 
     def close(self) -> None:
         """Leave the last view on the terminal."""
@@ -62,7 +62,7 @@ class Watch(Node):
         self._console.print(self._view())
 
     def _view(self) -> RenderableType:
-        self._seen.silent_s = time.monotonic() - self._heard
+        self._seen.silent_s = time.monotonic() - self._heard_s
         return render(self._seen)
 
     def _draw(self) -> None:
@@ -81,11 +81,13 @@ class Watch(Node):
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.startswith('starcal'):
-                self._heard = time.monotonic()
+            values = {item.key: item.value for item in status.values}
+            if status.name.endswith('starcal: calibration'):
+                self._heard_s = time.monotonic()
                 self._seen.level, self._seen.message = status.level[0], status.message
-                self._seen.values = {item.key: item.value for item in status.values}
-                self._seen.rates_hz = self._rates.add(self._heard, self._seen.values)
+                self._seen.values = values
+            elif status.name.endswith('starcal: inputs'):
+                self._seen.inputs_message, self._seen.inputs = status.message, values
 
 
 def points(cloud: PointCloud2) -> NDArray[np.void]:

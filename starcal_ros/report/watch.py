@@ -9,7 +9,6 @@ the ellipse of 68 %, and otherwise an arrow along its residual, measured minus p
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 import re
@@ -40,7 +39,6 @@ _COLUMNS = 32                   # of the map
 _ARROWS = '→↘↓↙←↖↑↗'             # by 45 deg of (du, dv)
 _USUAL, _RARE = 2.30, 9.21      # chi-square of two degrees of freedom: 68 %, 99 %
 _STYLES = ('bold', 'bold yellow', 'bold red', 'bold magenta')     # by the level of diagnostics
-_RATES_S = 5.0                  # time over which a rate is taken
 _SILENT_S = 3.0                 # silence after which an estimator is taken to be gone
 
 
@@ -61,9 +59,11 @@ class Seen:
     message : str
         The verdict.
     values : mapping
-        The other diagnostics, by their keys.
-    rates_hz : mapping
-        Messages a second of the wall clock, by sensor.
+        The other diagnostics of the calibration, by their keys.
+    inputs_message : str
+        What the diagnostics say of the inputs.
+    inputs : mapping
+        Their diagnostics, by their keys.
     silent_s : float
         Time since the last diagnostics.
     """
@@ -74,32 +74,14 @@ class Seen:
     level: int = 3
     message: str = ''
     values: Mapping[str, str] = field(default_factory=dict)
-    rates_hz: Mapping[str, float] = field(default_factory=dict)
+    inputs_message: str = ''
+    inputs: Mapping[str, str] = field(default_factory=dict)
     silent_s: float = np.inf
-
-
-class Rates:
-    """Rates of counts that are read now and then."""
-
-    def __init__(self) -> None:
-        self._read: deque[tuple[float, dict[str, int]]] = deque()
-
-    def add(self, t: float, values: Mapping[str, str]) -> dict[str, float]:
-        """Take the counts ``gyro`` and ``frames`` at t [s] and return their rates [Hz]."""
-        counts = {key: int(values[key]) for key in ('gyro', 'frames') if key in values}
-        if self._read and any(counts.get(key, -1) < n for key, n in self._read[-1][1].items()):
-            self._read.clear()                          # the estimator began again
-        self._read.append((t, counts))
-        while t - self._read[0][0] > _RATES_S:
-            self._read.popleft()
-        since, before = self._read[0]
-        return {key: (n - before[key]) / (t - since) for key, n in counts.items()
-                if key in before and t > since}
 
 
 def render(seen: Seen) -> RenderableType:
     """Return the whole view, 80 columns wide."""
-    parts: list[RenderableType] = [_verdict(seen), _rates(seen)]
+    parts: list[RenderableType] = [_verdict(seen), _inputs(seen)]
     body = Table.grid(padding=(0, 1))
     cells: list[RenderableType] = []
     if seen.state is not None:
@@ -152,14 +134,18 @@ def _verdict(seen: Seen) -> Text:
     return Text(seen.message, style=style)
 
 
-def _rates(seen: Seen) -> Text:
-    parts = [f'{name} {rate:.1f} Hz' for name, rate in seen.rates_hz.items()]
+def _inputs(seen: Seen) -> Text:
+    parts = [] if seen.inputs_message == 'receiving' else [seen.inputs_message]
+    for key, value in seen.inputs.items():
+        topic, _, what = key.rpartition(' ')
+        if what == 'messages_per_second':
+            parts.append(f'{"/".join(topic.split("/")[-2:])} {value} Hz')
     if seen.state is not None:
         stamp = np.datetime64(round(seen.state[0] * 1e3), 'ms')
         parts.append(f'last frame {stamp} UTC')
     if 'reprojection_rms_px' in seen.values:
         parts.append(f'reprojection {seen.values["reprojection_rms_px"]} px')
-    return Text(', '.join(parts))
+    return Text(', '.join(filter(None, parts)))
 
 
 def _states(state: Array, values: Mapping[str, str]) -> Table:
