@@ -17,8 +17,10 @@ COMMANDS = {
     'intrinsics_estimator': 'starcal_ros.nodes.intrinsics_estimator:main',
     'recorder': 'starcal_ros.nodes.recorder:main',
     'player': 'starcal_ros.nodes.player:main',
+    'watch': 'starcal_ros.nodes.watch:main',
     'composed': 'starcal_ros.nodes.composed:main',
 }
+DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
 
 
 def commands_elsewhere() -> tuple[str, list[str]]:
@@ -54,6 +56,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+        (f'share/{NAME}/config/viewers', sorted(glob('config/viewers/*'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         commands_elsewhere(),
     ],
@@ -86,6 +89,8 @@ setup(
         'identify': ['tetra3rs>=0.14,<0.15'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
+        # The documentation: make docs.
+        'docs': DOCS,
         # colcon runs the tests only where this extra exists and names pytest.
         'test': [
             'colcon-common-extensions',
@@ -97,6 +102,7 @@ setup(
             'pydocstyle',
             'pytest',
             'tetra3rs>=0.14,<0.15',
+            *DOCS,
         ],
     },
 )

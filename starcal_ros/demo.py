@@ -8,6 +8,7 @@ No rclpy here: the nodes are processes of their own, started and ended as a user
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import re
@@ -39,7 +40,15 @@ class NodeError(RuntimeError):
 
 def node_command(name: str, parameters: Mapping[str, object], params_file: Path | None = None
                  ) -> list[str]:
-    """Return the command line of a node of the suite."""
+    """Return the command line of a node of the suite.
+
+    Raises
+    ------
+    NodeError
+        Where there is no ROS 2.
+    """
+    if find_spec('rclpy') is None:
+        raise NodeError("no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'")
     command = [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args']
     if params_file is not None:
         command += ['--params-file', str(params_file)]

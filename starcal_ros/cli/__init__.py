@@ -20,7 +20,7 @@ from starcal_ros.demo import NodeError
 from starcal_ros.parameter import ConfigError
 
 COMMANDS = ('demo', 'simulate', 'calibrate', 'intrinsics', 'bootstrap', 'montecarlo', 'reproduce',
-            'play', 'info')
+            'play', 'watch', 'info')
 """In the order in which the usage lists them."""
 
 
