@@ -20,8 +20,9 @@ demo: .venv/installed
 	.venv/bin/starcal demo
 	@echo; ls -lR demo
 
+# On two cores, each file of tests on one of them, with one thread of its own.
 test: .venv/installed browser
-	.venv/bin/pytest test
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile test
 
 # A browser that the report is tested in; without one those tests are skipped.
 browser:

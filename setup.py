@@ -101,6 +101,7 @@ setup(
             'mypy',
             'pydocstyle',
             'pytest',
+            'pytest-xdist',
             'tetra3rs>=0.14,<0.15',
             *DOCS,
         ],

@@ -133,7 +133,7 @@ class SpotTracker:
         if shown is not None:
             turn, carried = shown @ turn, carried @ shown.T
             near = _apart(carried, w_s) < self._gate**2
-            taken = near.any(axis=0)
+            taken = np.asarray(near.any(axis=0))
             sure = near & (near.sum(axis=0) == 1) & (near.sum(axis=1) == 1)[:, None]
             found = np.argwhere(sure)
         track = np.full(len(w_s), -1)

@@ -3,8 +3,8 @@
 """S24: the camera from interstar angles, of identified stars (T) or of followed spots (S).
 
 The equations, and the letters OC and WC, are those of `starcal_ros.interstar`; which of the four
-is ``intrinsics.interstar_equations``. The self-calibration needs no identification: `spots` follows
-the stars from frame to frame. The camera is the project's, so the nominal distortion is taken off
+is ``intrinsics.interstar_equations``. The self-calibration needs no identification: `spots`
+follows the stars from frame to frame. The camera is the project's, so the nominal distortion is taken off
 exactly, and its coefficients are estimated where ``intrinsics.estimate`` names them. No prior:
 what the stars do not tell stays unknown.
 
@@ -23,6 +23,7 @@ ask for the camera after every frame, and gets that of the whole recording.
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,7 @@ class Interstar:
         self._gyro = GyroSamples.empty()
         self._waiting: list[Frames] = []
         self._turn: Array | None = None                 # since the last frame that was kept
-        self._open: list[tuple[Array, ...]] = []        # frames of a window that is not full yet
+        self._open: list[tuple[Array, Array, NDArray[Any]]] = []        # frames of a window that is not full yet
         self._windows: deque[Window] = deque(maxlen=WINDOWS)
         self._estimate: CameraEstimate | None = None
         self._changed = False                           # whether it lacks what has come since
@@ -179,7 +180,7 @@ class Interstar:
             rows = rows[followed.track[rows] >= 0]
             self._keep((uv[rows], sigma[rows], followed.track[rows]))
 
-    def _keep(self, frame: tuple[Array, ...]) -> None:
+    def _keep(self, frame: tuple[Array, Array, NDArray[Any]]) -> None:
         self._changed = True
         self._open.append(frame)
         if len(self._open) == FRAMES:
