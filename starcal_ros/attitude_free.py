@@ -79,7 +79,7 @@ def update(belief: Belief, stars: Stars, lens: Lens, measure: Measurement) -> Be
 
     Raises
     ------
-    FloatingPointError, numpy.linalg.LinAlgError
+    numpy.linalg.LinAlgError
         Where the steps lead to a camera that can not have seen the stars.
     """
     return _iterate(belief, stars, lens, measure)[0]
@@ -127,17 +127,16 @@ def screen(belief: Belief, stars: Stars, lens: Lens, measure: Measurement, gate:
     used : (n,) bool array
         Stars that were used. Where no more than half of them fit it is none, and the belief stays.
     """
-    use = np.ones(len(stars.sigma), np.bool_)
     with np.errstate(all='ignore'):
         fitted, misfit = _fit(belief, stars, lens, measure)
-        if not misfit.max() <= gate:
-            use = _vote(belief, stars, lens)
-        while not misfit.max() <= gate and 2 * use.sum() > len(use):
+        if misfit.max() <= gate:
+            return fitted, np.ones(len(misfit), np.bool_)
+        use = _vote(belief, stars, lens)
+        while 2 * use.sum() > len(use):
             fitted, misfit = _fit(belief, Stars(*(part[use] for part in stars)), lens, measure)
-            if not misfit.max() <= gate:
-                use[np.flatnonzero(use)[np.argmax(misfit)]] = False
-    if 2 * use.sum() > len(use):
-        return fitted, use
+            if misfit.max() <= gate:
+                return fitted, use
+            use[np.flatnonzero(use)[np.argmax(misfit)]] = False
     return belief, np.zeros_like(use)
 
 
@@ -145,10 +144,9 @@ def _fit(belief: Belief, stars: Stars, lens: Lens, measure: Measurement) -> tupl
     """Return the belief corrected with all stars, and by how much each of them misfits."""
     try:
         fitted, frame, away = _iterate(belief, stars, lens, measure)
-    except (FloatingPointError, np.linalg.LinAlgError):
+    except np.linalg.LinAlgError:
         return belief, np.full(len(stars.sigma), np.inf)
-    misfit = _misfit(frame, belief.root, away)
-    return fitted, np.where(np.isfinite(misfit), misfit, np.inf)
+    return fitted, _misfit(frame, belief.root, away)
 
 
 def _misfit(frame: Frame, root: Array, away: Array) -> Array:
@@ -181,12 +179,12 @@ def _vote(belief: Belief, stars: Stars, lens: Lens) -> Mask:
     """Measurement which stars agree with the attitude that most of them agree with."""
     try:
         frame = invariants.linearize(stars, belief.parameters, lens)
-    except (FloatingPointError, np.linalg.LinAlgError):
+    except np.linalg.LinAlgError:
         return np.zeros(len(stars.sigma), np.bool_)
     spread = np.linalg.norm((frame.H @ belief.root).reshape(len(stars.sigma), -1), axis=-1)
     wrong = (6.0 * spread + 10.0) * np.linalg.norm(
         invariants.direction_slopes(frame), axis=(-2, -1))
-    return consensus(stars.u_i, frame.w_s, float(wrong.max()))
+    return consensus(stars.u_i, lens.unproject(stars.uv, belief.parameters), float(wrong.max()))
 
 
 class AttitudeFree:
@@ -208,7 +206,7 @@ class AttitudeFree:
                  known: CameraEstimate | None = None) -> None:
         options, begun = Filter(scenario), beginning(scenario, known)
         pitch_mm = options.detector.pitch_mm
-        self._lens = Lens(partial(camera.unproject, pitch_mm=pitch_mm),
+        self._lens = Lens(partial(camera.unproject, pitch_mm=pitch_mm, steps=0),
                           partial(camera.linearize, pitch_mm=pitch_mm))
         self._measure, self._min_stars = measure, min_stars
         estimated = np.isin(camera.INTRINSICS, scenario.intrinsics.estimate)

@@ -8,8 +8,8 @@ The n stars of a frame, at the catalogue's directions u_i, are measured at w_s =
 the camera's back-projection. An invariant m, such as an angular distance or a singular value, is
 the same of both, whatever the attitude: its residual is ``m(u_i) - m(w_s)``.
 
-The slopes of all invariants are taken where the catalogue's stars would be seen: C_si solves
-``w_s = C_si u_i`` best (Wahba's problem) and r_s = C_si u_i. There ::
+All is taken about where the catalogue's stars would be seen: C_si solves ``w_s = C_si u_i`` best
+(Wahba's problem), and r_s = C_si u_i. There ::
 
     z = (predicted - measured centroid) / sigma                      (2 n)
     N = d z / d rotation,    H = d z / d parameters                  (2 n, 3), (2 n, p)
@@ -23,6 +23,13 @@ invariants of a frame together therefore know as much as ::
 
 the centroid residuals less what a rotation explains, 2 n - 3 numbers. That is also what is left of
 a least squares adjustment when its attitude is eliminated.
+
+The directions that invariants are taken of are the measured ones turned upon r_s ::
+
+    w_s = r_s - T P z,  of unit length                                                  (I.2)
+
+which is a step of Newton's method towards F, and as exact as the square of what parts measured and
+predicted star: 1e-8 rad for 0.5 px of 5500 px, where the noise is 1e-4.
 
 Slopes at the measured places instead would hold the noise of the frame and so correlate with its
 residuals; over 2400 frames of 0.5 px that moves W19's parameters by a quarter of their sigma.
@@ -50,7 +57,8 @@ class Lens(NamedTuple):
     Attributes
     ----------
     unproject : callable
-        Centroids (..., n, 2) and parameters (..., p) to unit directions w_s (..., n, 3).
+        Centroids (..., n, 2) and parameters (..., p) to unit directions (..., n, 3), good to
+        1e-5 or better: they are what the catalogue is turned upon.
     linearize : callable
         Directions r_s (..., n, 3) and parameters to centroids, their derivatives by a rotation
         (..., n, 2, 3), as of `camera.linearize`, and by the parameters (..., n, 2, p).
@@ -65,8 +73,8 @@ class Frame(NamedTuple):
 
     Attributes
     ----------
-    w_s, r_s : (..., n, 3) array
-        Measured directions, and those of the catalogue turned upon them.
+    r_s : (..., n, 3) array
+        Directions of the catalogue's stars, turned upon the measured ones.
     z, H : (..., 2 n), (..., 2 n, p) array
         P z and P H, Eq. (I.1).
     N : (..., n, 2, 3) array
@@ -75,7 +83,6 @@ class Frame(NamedTuple):
         Orthonormal columns that span those of N: P = I - Q Q'.
     """
 
-    w_s: Array
     r_s: Array
     z: Array
     H: Array
@@ -109,12 +116,10 @@ def linearize(stars: Stars, parameters: Array, lens: Lens) -> Frame:
 
     Raises
     ------
-    FloatingPointError
+    numpy.linalg.LinAlgError
         Where the camera of these parameters can not have seen the stars.
     """
     w_s = lens.unproject(stars.uv, parameters)
-    if not np.isfinite(w_s).all():
-        raise FloatingPointError('the camera is not invertible')
     weight = (1.0 / stars.sigma)[..., None]
     r_s = stars.u_i @ np.swapaxes(align(stars.u_i, w_s, weight), -1, -2)
     uv, N, H = lens.linearize(r_s, parameters)
@@ -125,7 +130,7 @@ def linearize(stars: Stars, parameters: Array, lens: Lens) -> Frame:
     both = both.reshape(*H.shape[:-3], -1, both.shape[-1])
     Q = np.linalg.qr(N.reshape(*both.shape[:-1], 3)).Q
     both -= Q @ (np.swapaxes(Q, -1, -2) @ both)
-    return Frame(w_s, r_s, both[..., 0], both[..., 1:], N, Q)
+    return Frame(r_s, both[..., 0], both[..., 1:], N, Q)
 
 
 def align(u_i: Array, w_s: Array, weight: Array) -> Array:
@@ -139,14 +144,12 @@ def align(u_i: Array, w_s: Array, weight: Array) -> Array:
         1 / sigma of each.
     """
     left, _, right = np.linalg.svd(np.swapaxes(w_s * weight, -1, -2) @ (u_i * weight))
-    # The third pair of axes follows from the first two: a rotation, never a reflection.
-    left[..., 2] = _cross(left[..., 0], left[..., 1])
-    right[..., 2, :] = _cross(right[..., 0, :], right[..., 1, :])
-    return left @ right
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return (rotation.skew(a) @ b[..., None])[..., 0]
+    C_si = left @ right
+    reflected = np.linalg.det(C_si) < 0.0
+    if reflected.any():
+        left[..., 2] *= np.where(reflected, -1.0, 1.0)[..., None]
+        return left @ right
+    return C_si
 
 
 def direction_slopes(frame: Frame) -> Array:
@@ -162,3 +165,9 @@ def direction_slopes(frame: Frame) -> Array:
     inverse[..., 0, 1] = inverse[..., 1, 0] = -squares[..., 0, 1]
     inverse /= (squares[..., 0, 0] * squares[..., 1, 1] - squares[..., 0, 1]**2)[..., None, None]
     return np.swapaxes(F, -1, -2) @ inverse
+
+
+def directions(frame: Frame, T: Array) -> Array:
+    """Return w_s, (..., n, 3), the measured directions turned upon r_s, Eq. (I.2)."""
+    w_s = frame.r_s - (T @ frame.z.reshape(*T.shape[:-2], 2, 1))[..., 0]
+    return w_s / np.sqrt(np.einsum('...i,...i->...', w_s, w_s))[..., None]

@@ -121,9 +121,13 @@ def project_w19(r_s: Array, parameters: Array, pitch_mm: float) -> Array:
     return camera.project(r_s, _square(parameters), pitch_mm) / _aspect(parameters)
 
 
-def unproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float) -> Array:
-    """Return the unit directions in s, (..., n, 3), of raster centroids: W19 Eq. 8."""
-    return camera.unproject(uv_raster * _aspect(parameters), _square(parameters), pitch_mm)
+def unproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float, **options: int) -> Array:
+    """Return the unit directions in s, (..., n, 3), of raster centroids: W19 Eq. 8.
+
+    Options are those of `camera.unproject`.
+    """
+    return camera.unproject(uv_raster * _aspect(parameters), _square(parameters), pitch_mm,
+                            **options)
 
 
 def linearize_w19(r_s: Array, parameters: Array, pitch_mm: float) -> tuple[Array, Array, Array]:

@@ -122,5 +122,5 @@ def test_leading_axes_are_batches():
 
 def test_camera_that_can_not_have_seen_the_stars_is_refused():
     stars, _ = frame_of(4, np.random.default_rng(10))
-    with np.errstate(all='ignore'), pytest.raises(FloatingPointError, match='not invertible'):
+    with np.errstate(all='ignore'), pytest.raises(np.linalg.LinAlgError):
         invariants.linearize(stars, T18 * np.nan, LENS)

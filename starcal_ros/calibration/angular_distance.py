@@ -35,7 +35,8 @@ from numpy.typing import NDArray
 from starcal_ros.attitude_free import AttitudeFree
 from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
-from starcal_ros.invariants import Frame, Information, direction_slopes, information
+from starcal_ros.invariants import (Frame, Information, direction_slopes, directions,
+                                    information)
 
 Array = NDArray[np.float64]
 
@@ -79,7 +80,7 @@ def diagonal(frame: Frame) -> Information:
     """Return what all pairs tell, each weighted by its own variance."""
     T = direction_slopes(frame)
     weight = np.triu(1.0 / np.sqrt(variances(frame.r_s, T)), 1)
-    z = weight * (cosines(frame.r_s) - cosines(frame.w_s))
+    z = weight * (cosines(frame.r_s) - cosines(directions(frame, T)))
     H = frame.H.reshape(*frame.N.shape[:-1], -1)
     H = weight[..., None] * slopes(frame.r_s, T @ H)
     return information(z.reshape(*z.shape[:-2], -1), H.reshape(*z.shape[:-2], -1, H.shape[-1]))

@@ -50,7 +50,7 @@ from numpy.typing import NDArray
 from starcal_ros.attitude_free import AttitudeFree
 from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
-from starcal_ros.invariants import Frame, Information, direction_slopes
+from starcal_ros.invariants import Frame, Information, direction_slopes, directions
 from starcal_ros.parameter import ConfigError
 
 Array = NDArray[np.float64]
@@ -59,6 +59,7 @@ MIN_STARS = 3
 
 _NEVER = 1e12           # variance of what must not count; that of a direction is about 1e-8
 _LEAST = 1e-12          # singular value below which it is zero
+_ITSELF = np.diag([np.inf] * 3)
 
 
 def start(scenario: Scenario, known: CameraEstimate | None = None) -> AttitudeFree:
@@ -88,6 +89,13 @@ def groups(model: int, n: int) -> Array:
         return np.tri(max(n - 2, 0), n, 2)
     size = 3 if model == 1 else max(n // 2, 3)
     return np.tri(max(n - size + 1, 0), n, size - 1) - np.tri(max(n - size + 1, 0), n, -1)
+
+
+@cache
+def _ascending(chosen: tuple[int, ...]) -> slice:
+    """Return where numpy, which has the smallest first, has the chosen singular values."""
+    first, last = 3 - max(chosen), 3 - min(chosen)
+    return slice(first, last + 1, max(1, (last - first) // max(1, len(chosen) - 1)))
 
 
 def gram(member: Array, w: Array) -> Array:
@@ -123,11 +131,11 @@ def slopes(member: Array, w: Array, p: Array, sigma: Array, dw: Array) -> Array:
     derivatives : (..., m, k, n, c) array
     """
     n, c = dw.shape[-3], dw.shape[-1]
-    rows = np.swapaxes(p, -1, -2)
-    along = rows @ np.swapaxes(w, -1, -2)[..., None, :, :]
-    beside = np.swapaxes(dw, -3, -2).reshape(*dw.shape[:-3], 1, 3, n * c)
-    along *= member[:, None, :] / sigma[..., None]
-    return along[..., None] * (rows @ beside).reshape(*along.shape, c)
+    rows = np.swapaxes(p, -1, -2).reshape(*p.shape[:-3], -1, 3)
+    along = (rows / sigma.reshape(*rows.shape[:-1], 1)) @ np.swapaxes(w, -1, -2)
+    along = along.reshape(*sigma.shape, n) * member[:, None, :]
+    beside = rows @ np.swapaxes(dw, -3, -2).reshape(*dw.shape[:-3], 3, n * c)
+    return along[..., None] * beside.reshape(*along.shape, c)
 
 
 def second_order(eigenvalues: Array, count: Array, variance: Array) -> Array:
@@ -142,10 +150,9 @@ def second_order(eigenvalues: Array, count: Array, variance: Array) -> Array:
     """
     one, other = eigenvalues[..., :, None], eigenvalues[..., None, :]
     with np.errstate(all='ignore'):
-        coupling = np.where(np.eye(3, dtype=bool), 0.0, one * (one + other) / (one - other)**2)
-        out = ((count - 1.0)[..., None] + 2.0 * np.sum(coupling, axis=-1)) * (
-            (0.5 * variance**2)[..., None] / eigenvalues)
-    return np.minimum(out, _NEVER)
+        coupling = one * (one + other) / (one - other + _ITSELF)**2
+        factor = (count - 1.0)[..., None] + 2.0 * np.add.reduce(coupling, axis=-1)
+        return np.minimum((0.5 * variance**2)[..., None] * factor / eigenvalues, _NEVER)
 
 
 def measure(frame: Frame, model: int, chosen: tuple[int, ...], full: bool) -> Information:
@@ -162,19 +169,18 @@ def measure(frame: Frame, model: int, chosen: tuple[int, ...], full: bool) -> In
     full : bool
         Weight them by their whole covariance; else by their variances.
     """
-    member = groups(model, frame.w_s.shape[-2])
-    count = member.sum(axis=-1)
-    order = [3 - k for k in chosen]                     # numpy has the smallest first
+    member = groups(model, frame.r_s.shape[-2])
+    count = np.add.reduce(member, axis=-1)
+    order = _ascending(chosen)
+    T = direction_slopes(frame)
     eigenvalues, p = np.linalg.eigh(gram(member, frame.r_s))
     eigenvalues = np.maximum(eigenvalues, _LEAST**2)
-    sigma = np.sqrt(eigenvalues[..., order])
-    measured = np.linalg.eigvalsh(gram(member, frame.w_s))[..., order]
-    z = sigma - np.sqrt(np.maximum(measured, 0.0))
-
-    T = direction_slopes(frame)
-    variance = 0.5 * np.sum(T * T, axis=(-2, -1)) @ member.T / count
+    measured = np.linalg.eigvalsh(gram(member, directions(frame, T)))
+    sigma = np.sqrt(eigenvalues)
+    z = (sigma - np.sqrt(np.maximum(measured, 0.0)))[..., order]
+    variance = 0.5 * np.einsum('...jab,...jab->...j', T, T) @ member.T / count
     beyond = second_order(eigenvalues, count, variance)[..., order]
-    B = slopes(member, frame.r_s, p[..., order], sigma, T)
+    B = slopes(member, frame.r_s, p[..., order], sigma[..., order], T)
     rows = (*z.shape[:-2], -1)
     B = B.reshape(*rows, frame.z.shape[-1])
     both = np.concatenate((z.reshape(*rows, 1), B @ frame.H), axis=-1)
@@ -185,8 +191,7 @@ def _weighted(both: Array, B: Array, beyond: Array, full: bool) -> Information:
     """Return the information of residuals and slopes side by side, (..., m, 1 + p)."""
     if full:
         S = B @ np.swapaxes(B, -1, -2)
-        diagonal = np.arange(S.shape[-1])
-        S[..., diagonal, diagonal] += beyond
+        S.reshape(*beyond.shape[:-1], -1)[..., ::S.shape[-1] + 1] += beyond
         weighted = np.linalg.solve(S, both)
     else:
         weighted = both / (np.sum(B * B, axis=-1) + beyond)[..., None]
