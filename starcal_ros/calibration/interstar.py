@@ -4,9 +4,9 @@
 
 The equations, and the letters OC and WC, are those of `starcal_ros.interstar`; which of the four
 is ``intrinsics.interstar_equations``. The self-calibration needs no identification: `spots`
-follows the stars from frame to frame. The camera is the project's, so the nominal distortion is taken off
-exactly, and its coefficients are estimated where ``intrinsics.estimate`` names them. No prior:
-what the stars do not tell stays unknown.
+follows the stars from frame to frame. The camera is the project's, so the nominal distortion is
+taken off exactly, and its coefficients are estimated where ``intrinsics.estimate`` names them. No
+prior: what the stars do not tell stays unknown.
 
 Windows
 -------
@@ -83,7 +83,7 @@ class Interstar:
         self._gyro = GyroSamples.empty()
         self._waiting: list[Frames] = []
         self._turn: Array | None = None                 # since the last frame that was kept
-        self._open: list[tuple[Array, Array, NDArray[Any]]] = []        # frames of a window that is not full yet
+        self._open: list[tuple[Array, Array, NDArray[Any]]] = []    # of a window not yet full
         self._windows: deque[Window] = deque(maxlen=WINDOWS)
         self._estimate: CameraEstimate | None = None
         self._changed = False                           # whether it lacks what has come since
