@@ -14,7 +14,7 @@ from starcal_ros import attitude_free
 from starcal_ros.attitude_free import Belief, Measurement
 from starcal_ros.calibration.singular_value import MIN_STARS
 from starcal_ros.config import Scenario
-from starcal_ros.evaluation import wu2019
+from starcal_ros.evaluation import consistency, wu2019
 from starcal_ros.evaluation.wu2019 import LENS, TRUTH, Group, Sky
 from starcal_ros.measurements import Stars
 
@@ -29,17 +29,24 @@ UNITS = {**dict.fromkeys(PARAMETERS, '%'), 'A': '"', 'A over frames': '"', 'A ov
          'B': '"', 'B over frames': '"', 'NEES': '', 'time': 'ms'}
 """Of each quantity; A and B are means, what they are over is a standard deviation."""
 
-NOTES = (
-    'published, full: RMS error of the parameters over the runs, means of all else; the paper has '
-    'one run. published weighs each residual as if it were independent, full by the covariance of '
-    'all residuals of a frame. bound: Cramér-Rao, the attitude of each frame unknown; of A what '
-    'errors drawn from it give.',
-    'W19 states neither attitudes nor initial covariance nor process noise nor the numbering of '
-    'the stars. Ours: random, wide, none, by Hipparcos number; Hp limits that show as many stars '
-    'a frame as the paper had (limits of 6, 5.5 and 4.6 show 24.5, 14.1 and 5.1).')
-
 _DRAWS = 100
 _TIMED, _TRIES = 50, 5
+
+
+def notes(runs: int) -> tuple[str, ...]:
+    """Return what the columns mean, and what the paper does not state."""
+    ratio = consistency.rms_interval(runs, 0.95)
+    nees = consistency.mean_interval(len(TRUTH), runs, 0.95)
+    return (
+        'published, full: RMS error of the parameters over the runs, means of all else; the paper '
+        'has one run. published weighs each residual as if it were independent, full by the '
+        'covariance of all residuals of a frame. bound: Cramér-Rao, the attitude of each frame '
+        'unknown; of A what errors drawn from it give.',
+        f'Chance alone lets the ratio of a parameter be {ratio.low:.2f} to {ratio.high:.2f} and '
+        f'NEES {nees.low:.1f} to {nees.high:.1f}, with 95 % probability in {runs} runs.',
+        'W19 states neither attitudes nor initial covariance nor process noise nor the numbering '
+        'of the stars. Ours: random, wide, none, by Hipparcos number; Hp limits that show as many '
+        'stars a frame as the paper had (limits of 6, 5.5 and 4.6 show 24.5, 14.1 and 5.1).')
 
 
 class Result(NamedTuple):
@@ -111,14 +118,15 @@ class Study:
         return wu2019.rmse_arcsec(parameters, self.sky.judge,
                                   [view.uv[None] for view in self.sky.judge])
 
-    def bound(self) -> Result:
-        """Return runs whose errors are drawn from the bound."""
+    def bound(self) -> dict[str, float]:
+        """Return the least that each of the quantities can be on average."""
         draws = np.random.default_rng(0).standard_normal((_DRAWS, len(TRUTH)))
-        parameters = TRUTH + draws @ np.linalg.cholesky(self.covariance).T
+        error = draws @ np.linalg.cholesky(self.covariance).T
         B = wu2019.rmse_arcsec(np.tile(TRUTH, (len(self.judge_uv[0]), 1)), self.sky.judge,
                                self.judge_uv)
-        return Result(parameters - TRUTH, self.criterion_A(parameters), B,
-                      np.array([float(len(TRUTH))]))
+        drawn = Result(error, self.criterion_A(TRUTH + error), B, np.array([float(len(TRUTH))]))
+        percent = 100.0 * np.sqrt(np.diag(self.covariance)) / np.abs(TRUTH)
+        return {**drawn.quantities(), **dict(zip(PARAMETERS, percent.tolist()))}
 
     def frame_ms(self, measure: Measurement) -> float:
         """Return the time of a frame of one run that has converged, the best of some tries [ms].

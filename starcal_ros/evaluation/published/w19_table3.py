@@ -12,7 +12,7 @@ from starcal_ros.calibration import singular_value
 from starcal_ros.config import Scenario
 from starcal_ros.evaluation.outcome import Outcome
 from starcal_ros.evaluation.wu2019 import GROUPS
-from starcal_ros.evaluation.wu2019_study import HEAD, NOTES, Row, Study, rows
+from starcal_ros.evaluation.wu2019_study import HEAD, Row, Study, notes, rows
 
 RUNS = 20
 PAPER = {
@@ -31,7 +31,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Run each choice with both weightings."""
     study = Study(scenario, GROUPS['group2'], runs)
-    bound = study.bound().quantities()
+    bound = study.bound()
     table: tuple[Row, ...] = ()
     for k, (chosen, paper) in enumerate(PAPER.items()):
         methods = [partial(singular_value.measure, model=4, chosen=chosen, full=weighting)
@@ -42,4 +42,4 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
         table += rows(case, QUANTITIES, dict(zip(QUANTITIES, paper)), published, full, bound)
         on_progress((k + 1) / len(PAPER))
     return Outcome(f'W19 Table 3, {runs} runs, {study.stars:.1f} stars a frame', HEAD, table,
-                   NOTES)
+                   notes(runs))
