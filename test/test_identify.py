@@ -11,9 +11,12 @@ import pytest
 
 from starcal_ros import catalog, rotation
 from starcal_ros.camera import Detector
+from starcal_ros.config_image import CentroidConfig
 from starcal_ros.evaluation.identification import Viewer, score
 from starcal_ros.imaging import star_patterns
 from starcal_ros.imaging.camera_guess import CameraGuess
+from starcal_ros.imaging.centroid import extract
+from starcal_ros.imaging.files import image_files, load
 from starcal_ros.imaging.identify import MODEL_SIGMA_PX, Identifier, MirroredError
 from starcal_ros.imaging.matching import View
 
@@ -276,3 +279,24 @@ def test_real_stars_are_those_that_others_found():
         assert np.array_equal(found.catalog_id[told], hip[told]), image
         named += told.sum()
     assert named > 0.95 * len(rows)
+
+
+def test_real_images_are_identified():
+    """Orion over the lit horizon, the Milky Way, refraction of 2 px: nine images of granasat."""
+    if not SKIES.is_dir():
+        pytest.skip(f'{SKIES} is not there')
+    with (SKIES / 'granasat' / 'stars.csv').open() as stream:
+        rows = [SimpleNamespace(**row) for row in csv.DictReader(stream)]
+    identifier = Identifier(CameraGuess.of_field(Detector(1280, 960, 1.0), 25.5, 29.0))
+    for path in image_files(SKIES / 'granasat'):
+        picture = load(path)
+        stars = extract(picture.counts, CentroidConfig(saturation_counts=picture.saturation))
+        found = identifier.lost_in_space(stars.uv_raster, stars.flux, sigma=stars.sigma)
+        assert found is not None and (found.catalog_id != 0).sum() > 25, path.name
+        uv = np.array([[row.u, row.v] for row in rows if row.image == path.name], float)
+        hip = np.array([row.catalog_id for row in rows if row.image == path.name], int)
+        distance = np.linalg.norm(stars.uv_raster - uv[:, None], axis=-1)
+        of, near = distance.argmin(axis=1), distance.min(axis=1) < 0.5
+        told = near & (found.catalog_id[of] != 0)
+        assert told.sum() > 0.9 * near.sum(), path.name
+        assert np.array_equal(found.catalog_id[of][told], hip[told]), path.name

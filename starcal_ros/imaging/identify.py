@@ -43,6 +43,7 @@ _FIX_STARS = 2          # stars that an attitude found by searching is made of
 _STARS_PER_SPOT, _SPARE_STARS = 3, 20    # how deep in the catalogue the spots are looked for
 _BRIGHTER_MAGNITUDES = 1.0      # than its star, what a spot may be
 _PHOTOMETRIC_STARS = 5
+_WORST_SIGMA_PX = 1.0   # stated of a spot that may get a name
 _SCALE_SIGMA = 0.02     # of the focal length that a pattern gives
 _CAMERA_DRIFT = 0.01    # of its first sigma, what the camera may change by from frame to frame
 
@@ -176,7 +177,7 @@ class Identifier:
         start = fitted(prior, u_i, uv, np.full(len(uv), _FIRST_SIGMA_PX), detector.pitch_mm)
         settled = self._settle(prior, start, _FIRST_SIGMA_PX, spots, stamp_ns)
         if settled is None or chance(
-                len(settled.spot) - _FIX_STARS, len(spots.row), settled.stars, settled.sigma,
+                len(settled.row) - _FIX_STARS, len(spots.row), settled.stars, settled.sigma,
                 detector) > _CHANCE_SEARCHED:
             return None
         return settled.identification(spots, tracked=False)
@@ -193,7 +194,7 @@ class Identifier:
         spots = self._spots(uv_raster, flux, sigma)
         settled = self._settle(prior, prior, MODEL_SIGMA_PX, spots, stamp_ns)
         if settled is None or chance(
-                len(settled.spot), len(spots.row), expected(
+                len(settled.row), len(spots.row), expected(
                     prior, settled.u_i, self._guess.detector.pitch_mm), settled.sigma,
                 self._guess.detector) > _CHANCE_TRACKED:
             return None
@@ -203,6 +204,7 @@ class Identifier:
                 stamp_ns: int | None) -> _Settled | None:
         """Match and fit in turn until the gate is as narrow as the residuals allow."""
         view, detector = start, self._guess.detector
+        spots = spots.take(spots.sigma <= _WORST_SIGMA_PX)
         count = _STARS_PER_SPOT * len(spots.row) + _SPARE_STARS
         matched = 0
         for _ in range(_ROUNDS):
@@ -220,7 +222,7 @@ class Identifier:
             if unexplained > 0.9 * sigma or sigma == MODEL_SIGMA_PX and len(spot) == matched:
                 break
             sigma, matched = float(np.clip(unexplained, MODEL_SIGMA_PX, sigma)), len(spot)
-        return _Settled(view, spot, field.hip[star], field.u_i, stars, sigma,
+        return _Settled(view, spots.row[spot], field.hip[star], field.u_i, stars, sigma,
                         float(np.sqrt(np.mean(residual**2))))
 
     def _spots(self, uv_raster: Array, flux: Array, sigma: ArrayLike) -> _Spots:
@@ -273,12 +275,17 @@ class _Spots(NamedTuple):
     flux: Array
     sigma: Array
 
+    def take(self, rows: Mask) -> _Spots:
+        """Return some of the spots, of the same frame."""
+        return _Spots(self.total, self.row[rows], self.uv[rows], self.flux[rows],
+                      self.sigma[rows])
+
 
 class _Settled(NamedTuple):
-    """What `Identifier._settle` comes to: spots (m) and their stars, all stars (n), residuals."""
+    """What `Identifier._settle` comes to: rows (m) and their stars, all stars (n), residuals."""
 
     view: View
-    spot: NDArray[np.int64]
+    row: NDArray[np.int64]
     hip: NDArray[np.int64]
     u_i: Array
     stars: Expected
@@ -287,5 +294,5 @@ class _Settled(NamedTuple):
 
     def identification(self, spots: _Spots, tracked: bool) -> Identification:
         catalog_id = np.zeros(spots.total, np.int64)
-        catalog_id[spots.row[self.spot]] = self.hip
+        catalog_id[self.row] = self.hip
         return Identification(catalog_id, self.view, self.rms_px, tracked)
