@@ -36,7 +36,7 @@ autodoc_default_options = {
 autodoc_typehints = 'none'                      # the docstrings say more: shapes, units, frames
 autodoc_mock_imports = [] if find_spec('rclpy') else [
     'rclpy', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'rcl_interfaces',
-    'rosgraph_msgs', 'lifecycle_msgs', 'sensor_msgs', 'std_msgs', 'std_srvs']
+    'rosgraph_msgs', 'sensor_msgs', 'std_msgs', 'std_srvs']
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 

@@ -3,7 +3,7 @@
 """Node `watch`: the running estimator in the terminal, as `starcal_ros.report.watch` draws it.
 
 It subscribes to results alone, never to a sensor, and keeps the newest message of each: nobody
-waits for it. On a terminal it redraws four times a second; where it writes into a file or a pipe,
+waits for it. On a terminal it redraws twice a second; where it writes into a file or a pipe,
 it writes the last view, when it ends.
 """
 
@@ -26,7 +26,7 @@ from std_msgs.msg import Float64MultiArray
 from starcal_ros.nodes import runtime
 from starcal_ros.report.watch import STAR_FIELDS, STATE_SIZE, Seen, render
 
-_DRAW_S = 0.25
+_DRAW_S = 0.5
 _PIPE_COLUMNS = 100
 _LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
