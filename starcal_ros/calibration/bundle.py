@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import camera
-from starcal_ros.bundle import MIN_STARS, Adjusted, Spots, adjust, attitudes, identified
+from starcal_ros.bundle import MIN_STARS, Spots, adjust, attitudes, identified
 from starcal_ros.camera_estimate import CameraEstimate, beginning, with_camera
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, GyroSamples
@@ -87,9 +87,13 @@ class Bundle:
         start_ = self._from_places(frames) if named else self._from_tracks(frames)
         if start_ is None:
             return None
-        adjusted: Adjusted = adjust(start_.spots, self._prior.intrinsics, start_.C_si,
-                                    start_.points, self._pitch_mm, self._prior.covariance,
-                                    self._gate)
+        try:
+            adjusted = adjust(start_.spots, self._prior.intrinsics, start_.C_si, start_.points,
+                              self._pitch_mm, self._prior.covariance, self._gate)
+        except np.linalg.LinAlgError:       # spots that no camera like the nominal one can see
+            self._notice('lost', f'{len(start_.spots.frame)} spots do not fit a camera that is '
+                         'anything like the nominal one')
+            return None
         used = int(adjusted.used.sum())
         if used < len(adjusted.used):
             self._notice('refused', f'{len(adjusted.used) - used} of {len(adjusted.used)} stars '
