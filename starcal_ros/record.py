@@ -197,13 +197,7 @@ def _arrange_gyro(gyro: GyroSamples, times: list[NDArray[np.int64]]) -> GyroSamp
 
 def _arrange_frames(frames: Frames, times: list[NDArray[np.int64]]) -> Frames:
     order = _order(times)
-    if order is None:
-        return frames
-    counts = frames.star_counts[order]
-    first = np.concatenate(([0], np.cumsum(counts)))
-    star = np.repeat(frames.first[order] - first[:-1], counts) + np.arange(first[-1])
-    return Frames(frames.stamp_ns[order], first, frames.uv_raster[star], frames.sigma[star],
-                  frames.magnitude[star], frames.catalog_id[star])
+    return frames if order is None else frames.take(order)
 
 
 def _order(times: list[NDArray[np.int64]]) -> NDArray[np.intp] | None:

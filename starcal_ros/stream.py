@@ -24,7 +24,7 @@ from starcal_ros import augmentation, preintegration
 from starcal_ros.acquisition import AcquisitionError, acquire
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Update
-from starcal_ros.measurements import Frames, GyroSamples, Stars
+from starcal_ros.measurements import Frames, GyroSamples, Stars, newer
 from starcal_ros.places import Places
 from starcal_ros.preintegration import GAP, Preintegrated
 from starcal_ros.track import Track, Tracker
@@ -132,7 +132,7 @@ class Stream:
             self._notice('rate', f'gyro reading at {samples.stamp_ns[~finite][0]} ns is not '
                          'finite: dropped')
         good = GyroSamples(samples.stamp_ns[finite], samples.rate[finite])
-        fresh = _newer(good.stamp_ns, last)
+        fresh = newer(good.stamp_ns, last)
         if not fresh.all():
             self._notice('gyro order', f'gyro reading at {good.stamp_ns[~fresh][0]} ns is not '
                          'newer than the one before: dropped')
@@ -152,7 +152,7 @@ class Stream:
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
-        fresh = _newer(frames.stamp_ns, self._newest_frame_ns)
+        fresh = newer(frames.stamp_ns, self._newest_frame_ns)
         self.counts.dropped_messages += int((~fresh).sum())
         if not fresh.all():
             self._notice('frame order', f'frame at {frames.stamp_ns[~fresh][0]} ns is not newer '
@@ -163,8 +163,7 @@ class Stream:
             steps = np.rint(np.diff(stamps, prepend=before) / self._frame_period_ns) - 1
             self.counts.missing_frames += int(np.maximum(steps, 0).sum())
             self._newest_frame_ns = int(stamps[-1])
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], fresh, [False])).astype(int)))
-        self._frames += [frames[low:high] for low, high in edges.reshape(-1, 2)]
+            self._frames.append(frames.take(fresh))
 
     # Going out
 
@@ -319,9 +318,3 @@ class Stream:
         if key not in self._named:
             self._named.add(key)
             self._notices.append(text)
-
-
-def _newer(stamps: NDArray[np.int64], last: int) -> NDArray[np.bool_]:
-    """Tell which stamps are larger than all before them and than `last`."""
-    before = np.concatenate(([last], np.maximum.accumulate(stamps)))[:-1]
-    return stamps > np.maximum(before, last)
