@@ -23,6 +23,12 @@ in mm and f, ``w = q / r``, and without constraint (OC) or with r held (WC, S24 
 WC is no least squares: its A is not the derivative of e. It solves ``A'e = 0`` with A as
 instruments, and Newton's matrix for that is ``A' de/dX``, which needs no lambda.
 
+Without constraint the noise of a spot is in A and in e alike, so A'e does not vanish on average:
+f is biased, in S by a hundred um. With r held most of A is free of noise, and so is f of bias. But
+the expectation of A'e is known (`bias`) and can be subtracted (corrected score; T. Nakamura,
+Biometrika 77, 1990): f is then free of bias without constraint, and stays accurate when
+distortion is estimated, where the instruments of WC hardly tell f from k1.
+
 Reduction
 ---------
 Of numbers q_m seen in n frames, the sum over pairs of frames is n times the centred sum ::
@@ -56,6 +62,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CONVERGED = 1e-8        # step, in parts of the largest, with which an iteration ends
+_BEND_PX = 0.01         # step of a numeric derivative, whose error is its square over f
 
 
 class Sight(NamedTuple):
@@ -106,6 +113,27 @@ class Equations(NamedTuple):
         return np.einsum('kl...ms,jl...ms->...kj', moved, moved)
 
 
+class Bias(NamedTuple):
+    """What the noise of the spots does to the equations of S on average, to second order.
+
+    Attributes
+    ----------
+    value : (..., K) array
+        Expectation of A'e at the true camera.
+    squares : (...) array
+        Sum of e squared that there is.
+    expected : (...) array
+        Its expectation at the true camera, for the noise as stated.
+    variance : (...) array
+        Its variance, but for a part of 1/NS or so.
+    """
+
+    value: Array
+    squares: Array
+    expected: Array
+    variance: Array
+
+
 def pinhole(uv: Array, intrinsics: Array, pitch_mm: float, constrained: bool) -> Sight:
     """Return where a pinhole camera sees the spots.
 
@@ -146,8 +174,8 @@ def lens(uv: Array, intrinsics: Array, pitch_mm: float, estimated: Sequence[int]
     ----------
     uv : (..., NF, NS, 2) array
         Spots, from the detector's centre [px].
-    intrinsics : (7,) array
-        Camera, as in `starcal_ros.camera`.
+    intrinsics : (..., 7) array
+        Camera, as in `starcal_ros.camera`: one for all spots, or one a round.
     pitch_mm : float
         Pixel pitch [mm].
     estimated : sequence of int
@@ -157,25 +185,26 @@ def lens(uv: Array, intrinsics: Array, pitch_mm: float, estimated: Sequence[int]
     seen : (..., NF, NS) bool array
         Spots that were seen.
     """
-    spots = np.where(seen[..., None], uv, intrinsics[:2]).reshape(-1, 2)
-    w_s, dw_duv, dw_dx = camera.backproject(spots, intrinsics, pitch_mm)
-    keep = seen.ravel()[:, None]
-    w = _leading(w_s * keep, seen.shape)
-    by_intrinsics = _leading(dw_dx * keep[..., None], seen.shape)
-    by_spot = _leading(dw_duv * keep[..., None], seen.shape)
-    instruments = by_intrinsics = np.ascontiguousarray(by_intrinsics[list(estimated)])
+    each = intrinsics if intrinsics.ndim == 1 else np.broadcast_to(
+        intrinsics[..., None, None, :], (*seen.shape, 7))[seen][:, None]
+    parts = camera.backproject(uv[seen].reshape(*each.shape[:-1], -1, 2), each, pitch_mm)
+    w, by_spot, by_intrinsics = (_scattered(part.reshape(seen.sum(), 3, -1)[..., columns], seen)
+                                 for part, columns in zip(parts, ([0], [0, 1], [*estimated])))
+    w, instruments = w[0], by_intrinsics
     if constrained:
         # q = r w and q_z = f: what was lost along w is dr / r = df / f - dw_z / w_z.
         stretch = -by_intrinsics[:, 2] / np.where(seen, w[2], 1.0)
         if 2 in estimated:
-            stretch[list(estimated).index(2)] += 1.0 / intrinsics[2]
+            stretch[list(estimated).index(2)] += 1.0 / intrinsics[..., 2, None, None]
         instruments = by_intrinsics + stretch[:, None] * w
     return Sight(w, by_intrinsics, instruments, by_spot)
 
 
-def _leading(rows: Array, shape: tuple[int, ...]) -> Array:
-    """Return (spots, 3[, K]) as ([K, ]3, ..., NF, NS)."""
-    return np.ascontiguousarray(rows.T).reshape(*rows.shape[:0:-1], *shape)
+def _scattered(rows: Array, seen: Mask) -> Array:
+    """Return rows (spots, 3, K) as (K, 3, ..., NF, NS), zero where no spot was seen."""
+    out = np.zeros((rows.shape[2], 3, *seen.shape))
+    out[..., seen] = rows.T
+    return out
 
 
 def equations(sight: Sight, cosines: Array | None = None, seen: Mask | None = None) -> Equations:
@@ -222,6 +251,41 @@ def covariance(matrix: Array, noise: Array) -> Array:
     """
     half = np.linalg.solve(matrix, noise)
     return np.asarray(np.linalg.solve(matrix, np.swapaxes(half, -1, -2)))
+
+
+def bias(look: Callable[[Array], Sight], uv: Array, sigma: Array | float,
+         seen: Mask | None = None) -> Bias:
+    """Return the expectation of the equations of S, r not held.
+
+    A spot moved by d changes its b by b' d and its w by t d. Of a pair in one of n_ij frames A
+    changes by ``b_i' d . w_j + b_j . t_i d``, n_ij e by ``(n_ij - 1) t_i d . w_j``.
+
+    Parameters
+    ----------
+    look : callable
+        From spots to their `Sight`: `pinhole` or `lens` at some camera, not constrained.
+    uv : (..., NF, NS, 2) array
+        Spots [px].
+    sigma : (..., NF, NS) array or float
+        Standard deviation of the spots, each axis [px].
+    seen : (..., NF, NS) bool array, optional
+        As for `equations`.
+    """
+    sight = look(uv)
+    w, b, t = sight.w, sight.instruments, sight.by_spot
+    counts, moment, residual = _joined(w, None, seen)
+    moment = moment - _summed(w, w[None], 1)[0]
+    crossed = _summed(w, b, counts) - _summed(w, b, 1)
+    variance = np.broadcast_to(np.square(sigma), w.shape[1:])
+    pulled = np.einsum('ac...ms,kc...ms->ka...ms', moment, t)
+    value = np.einsum('kac...ms,la...ms,lc...ms,...ms->...k', crossed, t, t, variance,
+                      optimize=True)
+    for k, step in enumerate(_BEND_PX * np.eye(2)):
+        bend = (look(uv + step).instruments - b) / _BEND_PX
+        value += np.einsum('ka...ms,a...ms,...ms->...k', bend, pulled[k], variance)
+    own = np.einsum('ka...ms,la...ms->kl...ms', t, pulled) * variance
+    return Bias(value, 0.5 * np.einsum('a...ms,a...ms->...', w, residual),
+                np.einsum('kk...ms->...', own), 2.0 * np.einsum('kl...ms,kl...ms->...', own, own))
 
 
 def misfit(sight: Sight, cosines: Array | None = None, seen: Mask | None = None) -> Array:

@@ -6,13 +6,20 @@ A window is linearised anew only when the camera has moved by `STALE` sigmas sin
 camera can be asked for again and again while windows are added. There is no prior: what the stars
 do not tell stays unknown, and a fit that knows an intrinsic less well than `Fit.largest` says
 nothing.
+
+SCOC is freed of its bias (`interstar.bias`). The bias grows with the square of the noise, and is a
+hundred sigmas where distortion is estimated: the noise is therefore taken from the residuals, as a
+factor on the variances that are stated, and what is not known of that factor is part of the
+covariance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +29,15 @@ from starcal_ros.camera import Detector
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Look = Callable[[Array], interstar.Sight]
+Frame = tuple[Array, Array, NDArray[Any]]
 
 STALE = 0.1
 MISFIT = 8.0
 """A spot does not fit that misses by so many sigmas, or by so many times what most miss by."""
 
-_STEPS = 30
-_SCREENINGS = 8
+_STEPS, _PASSES = 20, 8
+_SOME = 16              # windows from which the camera is found for a start
 _RAYLEIGH = 1.1774      # median of the length of a normal vector in two dimensions
 
 
@@ -41,12 +50,28 @@ class Sums(NamedTuple):
         The intrinsics estimated, where this is.
     value, matrix, noise : (K,), (K, K), (K, K) array
         As in `interstar`.
+    bias : interstar.Bias
+        Zero where it is not removed.
     """
 
     at: Array
     value: Array
     matrix: Array
     noise: Array
+    bias: interstar.Bias
+
+    def step(self, factor: float) -> Array:
+        """Return how far the solution is, (K,), for a factor on the variances of the spots."""
+        return np.asarray(np.linalg.solve(self.matrix, self.value - factor * self.bias.value))
+
+    def covariance(self, factor: float) -> Array:
+        """Return the covariance, (K, K), of the solution, the factor known from the residuals."""
+        covariance = interstar.covariance(self.matrix, self.noise)
+        if not self.bias.expected > 0.0:
+            return covariance
+        shift = np.linalg.solve(self.matrix, factor * self.bias.value)
+        return (factor * covariance
+                + np.outer(shift, shift) * (self.bias.variance / self.bias.expected**2))
 
 
 @dataclass
@@ -81,19 +106,23 @@ class Window:
         """Of the catalogue, (..., NS, NS)."""
         return None if self.u_i is None else self.u_i @ np.swapaxes(self.u_i, -1, -2)
 
-    def linearize(self, sight: interstar.Sight, at: Array) -> Sums:
+    def linearize(self, look: Look, at: Array, unbiased: bool) -> Sums:
         """Return, and keep, what the spots say at a camera."""
-        equations = interstar.equations(sight, self.cosines, self.seen)
+        sight, cosines = look(self.uv), self.cosines
+        equations = interstar.equations(sight, cosines, self.seen)
         value, matrix, noise = (
             part.reshape(-1, *part.shape[self.seen.ndim - 2:]).sum(axis=0)
             for part in (equations.value, equations.product(sight.by_intrinsics),
                          equations.noise(sight.by_spot, self.sigma)))
-        self.sums = Sums(at, value, matrix, noise)
+        zero = np.zeros(())
+        bias = (interstar.bias(look, self.uv, self.sigma, self.seen) if unbiased
+                else interstar.Bias(np.zeros_like(value), zero, zero, zero))
+        self.sums = Sums(at, value, matrix, noise, bias)
         return self.sums
 
-    def screen(self, sight: interstar.Sight) -> None:
+    def screen(self, look: Look) -> None:
         """Take the spots that do not fit out, of each frame the worst and those half as bad."""
-        misfit = np.linalg.norm(interstar.misfit(sight, self.cosines, self.seen), axis=-1)
+        misfit = np.linalg.norm(interstar.misfit(look(self.uv), self.cosines, self.seen), axis=-1)
         misfit = np.where(self.seen, misfit / self.sigma, 0.0)
         most = np.median(misfit[self.seen]) / _RAYLEIGH if self.seen.any() else 0.0
         bad = ((misfit > MISFIT * max(1.0, float(most)))
@@ -103,7 +132,7 @@ class Window:
             self.seen, self.sums = self.seen & ~bad, None
 
 
-def identified(frames: Sequence[tuple[Array, Array, Array]]) -> Window:
+def identified(frames: Sequence[Frame]) -> Window:
     """Return the window of frames, each ``(uv, sigma, u_i)`` of its stars."""
     slots = max(len(uv) for uv, *_ in frames)
     uv, u_i = np.zeros((len(frames), 1, slots, 2)), np.zeros((len(frames), slots, 3))
@@ -114,7 +143,7 @@ def identified(frames: Sequence[tuple[Array, Array, Array]]) -> Window:
     return Window(uv, sigma, seen, u_i)
 
 
-def followed(frames: Sequence[tuple[Array, Array, NDArray[np.int64]]]) -> Window:
+def followed(frames: Sequence[Frame]) -> Window:
     """Return the window of frames, each ``(uv, sigma, track)`` of its spots.
 
     A spot that no other frame of the window shows again tells nothing and has no place in it.
@@ -157,6 +186,7 @@ class Fit:
         self._nominal, self._estimated = nominal, list(estimated)
         self._last: Array | None = None
         self._stale = np.zeros(7)                       # step that asks for new sums
+        self._factor = 1.0                              # of the noise on the variance stated
 
     def solve(self, windows: Sequence[Window]) -> tuple[Array, Array] | None:
         """Return the intrinsics (7,) and the covariance (7, 7) of their errors, if there are any.
@@ -164,59 +194,102 @@ class Fit:
         Spots that do not fit are taken out of the windows.
         """
         windows = [window for window in windows if window.seen.shape[-1] > 1]
-        x, covariance = self._nominal if self._last is None else self._last, np.zeros((7, 7))
-        rough = [k for k in self._estimated if k < 3]
         try:
-            if self._last is None and rough != self._estimated and rough:
-                # Distortion is told apart where the rest is about right.
-                x, _ = self._newton(windows, x, rough)
-                for window in windows:
-                    window.sums = None
-            for _ in range(_SCREENINGS):
-                x, part = self._newton(windows, x, self._estimated)
-                unscreened = [window for window in windows if not window.screened]
-                for window in unscreened:
-                    window.screen(self._sight(window, x, self._estimated))
-                if all(window.screened for window in unscreened):
-                    break
+            x = self._first(windows) if self._last is None else self._last
+            self._screen(windows, x)
+            x, part = self._root(windows, x, self._estimated, self._constrained)
         except np.linalg.LinAlgError:
             self._last = None
             return None
         self._last = x
+        covariance = np.zeros((7, 7))
         covariance[np.ix_(self._estimated, self._estimated)] = part
         return x, covariance
 
-    def _sight(self, window: Window, x: Array, estimated: Sequence[int]) -> interstar.Sight:
-        return interstar.lens(window.uv, x, self._pitch_mm, estimated, self._constrained,
-                              window.seen)
+    def _first(self, windows: Sequence[Window]) -> Array:
+        """Return about the camera, from some of the windows.
 
-    def _newton(self, windows: Sequence[Window], x: Array, estimated: list[int]
-                ) -> tuple[Array, Array]:
+        Distortion is told apart only where the rest is about right, and r held leads there from
+        further away.
+        """
+        some = windows[::len(windows) // _SOME + 1]
+        x, rough = self._nominal, [k for k in self._estimated if k < 3]
+        stages = ((rough, True), (self._estimated, self._constrained))
+        for estimated, constrained in stages[not rough:]:
+            for window in some:
+                window.sums, window.screened = None, False
+            self._screen(some, x)
+            # The residuals of a rough camera make the noise too large, what is stated may be too
+            # small; and all windows may tell what some do not.
+            factors = [1.0]
+            residuals = self._total(x[estimated], some, x, estimated, constrained).bias
+            if residuals.expected > 0.0:
+                factors.append(float(residuals.squares / residuals.expected))
+            for self._factor in factors:
+                with suppress(np.linalg.LinAlgError):
+                    x, _ = self._root(some, x, estimated, constrained)
+                    break
+        for window in some:
+            window.screened = False
+        return x
+
+    def _screen(self, windows: Sequence[Window], x: Array) -> None:
+        """Take out the spots that do not fit a camera."""
+        for window in windows:
+            while not window.screened:
+                window.screen(self._look(window, x, self._estimated, self._constrained))
+
+    def _look(self, window: Window, x: Array, estimated: Sequence[int], constrained: bool) -> Look:
+        return partial(interstar.lens, intrinsics=x, pitch_mm=self._pitch_mm, estimated=estimated,
+                       constrained=constrained, seen=window.seen)
+
+    def _root(self, windows: Sequence[Window], x: Array, estimated: list[int], constrained: bool
+              ) -> tuple[Array, Array]:
         """Return the camera that solves the equations, and the covariance of what is estimated."""
-        largest, noise = self.largest[estimated], np.zeros((len(estimated),) * 2)
-
-        def evaluate(at: Array) -> tuple[Array, Array]:
-            nonlocal noise
-            camera_at = x.copy()
-            camera_at[estimated] = at
-            value, matrix, noise = np.zeros(len(at)), np.zeros(noise.shape), np.zeros(noise.shape)
-            for window in windows:
-                sums = window.sums
-                if sums is None or (
-                        np.abs(at - sums.at) > self._stale[estimated]).any():
-                    sums = window.linearize(self._sight(window, camera_at, estimated), at)
-                value += sums.value + sums.matrix @ (at - sums.at)
-                matrix += sums.matrix
-                noise += sums.noise
-            self._stale[estimated] = STALE * np.sqrt(np.diag(interstar.covariance(matrix, noise)))
-            return value, matrix
-
-        at = interstar.solve(evaluate, x[estimated], largest, _STEPS)
-        value, matrix = evaluate(at)
-        covariance = interstar.covariance(matrix, noise)
-        step, sigma = np.linalg.solve(matrix, value), np.sqrt(np.diag(covariance))
-        if not (np.abs(step) < 1e-3 * largest).all() or not (sigma < largest).all():
+        total = partial(self._total, windows=windows, x=x, estimated=estimated,
+                        constrained=constrained)
+        at, largest = x[estimated], self.largest[estimated]
+        for _ in range(_PASSES):
+            before, factor = at, self._factor
+            at = interstar.solve(partial(_unbiased, total, factor), at, largest, _STEPS)
+            sums = total(at)
+            if not (np.abs(sums.step(factor)) < largest).all():
+                raise np.linalg.LinAlgError
+            if sums.bias.expected > 0.0:
+                self._factor = float(sums.bias.squares / sums.bias.expected)
+            sigma = np.sqrt(np.diag(sums.covariance(self._factor)))
+            if (np.abs(at - before) <= STALE * sigma).all() or self._factor == factor:
+                break
+        if not (np.abs(sums.step(self._factor)) < np.minimum(sigma, largest)).all() or not (
+                sigma < largest).all():
             raise np.linalg.LinAlgError
         found = x.copy()
         found[estimated] = at
-        return found, covariance
+        return found, sums.covariance(self._factor)
+
+    def _total(self, at: Array, windows: Sequence[Window], x: Array, estimated: list[int],
+               constrained: bool) -> Sums:
+        """Return the sums over all windows at some values of what is estimated."""
+        camera_at = x.copy()
+        camera_at[estimated] = at
+        sums = []
+        for window in windows:
+            part = window.sums
+            if part is None or (np.abs(at - part.at) > self._stale[estimated]).any():
+                look = self._look(window, camera_at, estimated, constrained)
+                part = window.linearize(look, at, window.u_i is None and not constrained)
+            sums.append(part)
+        if not sums:
+            raise np.linalg.LinAlgError
+        _, _, matrix, noise, biases = zip(*sums)
+        value = np.sum([part.value + part.matrix @ (at - part.at) for part in sums], axis=0)
+        whole = Sums(at, value, np.sum(matrix, axis=0), np.sum(noise, axis=0),
+                     interstar.Bias(*(np.sum(parts, axis=0) for parts in zip(*biases))))
+        self._stale[estimated] = STALE * np.sqrt(np.diag(whole.covariance(self._factor)))
+        return whole
+
+
+def _unbiased(total: Callable[[Array], Sums], factor: float, at: Array) -> tuple[Array, Array]:
+    """Return value, less its expectation, and matrix for `interstar.solve`."""
+    sums = total(at)
+    return sums.value - factor * sums.bias.value, sums.matrix

@@ -92,7 +92,7 @@ class Places:
         return uv, sigma, measured
 
 
-def _notices(frames: Frames, frame: NDArray[np.int64], sigma: Array, measured: Mask,
+def _notices(frames: Frames, frame: NDArray[np.int64], sigma: NDArray[np.float64], measured: Mask,
              row: NDArray[np.int64]) -> Iterator[tuple[object, str]]:
     for k in np.flatnonzero(~measured)[:1]:
         u, v = frames.uv_raster[k]

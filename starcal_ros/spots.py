@@ -92,25 +92,27 @@ class SpotTracker:
         frames : Frames
             With increasing stamps, later than those before.
         gyro : GyroSamples, optional
-            Readings from the last frame before these to the last of them; without them the
-            motion seen is carried on.
+            Readings up to the last of the frames or later; where they are missing the motion
+            seen is carried on.
         """
+        if not len(frames):
+            return Followed(np.empty(0, np.int64), np.empty((0, 3, 3)))
         uv, _, measured = self._places.centroids(frames)
         w_s = camera.unproject(np.where(measured[:, None], uv, 0.0), self._intrinsics,
                                self._pitch_mm)
-        last_ns = self._last_ns if len(self._number) else int(frames.stamp_ns[:1].sum())
-        cuts = np.concatenate(([last_ns], frames.stamp_ns))
-        expected = None if gyro is None else self._turns(gyro, cuts)
+        begin_ns = [self._last_ns] if len(self._number) else frames.stamp_ns[:1]
+        cuts = np.concatenate((begin_ns, frames.stamp_ns))
+        known, expected = self._turns(gyro, cuts)
         track = np.full(len(uv), -1)
         turn = np.empty((len(frames), 3, 3))
         for k, dt in enumerate((np.diff(cuts) * NS).tolist()):
             spots = np.arange(frames.first[k], frames.first[k + 1])
             spots = spots[measured[spots]]
-            guess = self._carried_on(dt) if expected is None else expected[k]
+            guess = expected[k] if known[k] else self._carried_on(dt)
             track[spots], turn[k] = self._step(w_s[spots], guess)
             if dt > 0.0:
                 self._turn, self._dt = turn[k], dt
-        self._last_ns = int(cuts[-1])
+            self._last_ns = int(frames.stamp_ns[k])
         return Followed(track, turn)
 
     def _carried_on(self, dt: float) -> Array:
@@ -119,21 +121,24 @@ class SpotTracker:
             return self._turn
         return rotation.exp(rotation.log(self._turn) * (dt / self._dt))
 
-    def _turns(self, gyro: GyroSamples, cuts_ns: NDArray[np.int64]) -> Array:
-        """Return C_s1s0, (n, 3, 3), between the stamps as the gyro has it."""
-        Delta = preintegration.preintegrate(gyro, cuts_ns, self._bias, self._period_ns).Delta
-        return self._C_sg @ Delta @ self._C_sg.T
+    def _turns(self, gyro: GyroSamples | None, cuts_ns: NDArray[np.int64]
+               ) -> tuple[NDArray[np.bool_], Array]:
+        """Return where the gyro knows C_s1s0 between the stamps, and what it is, (n, 3, 3)."""
+        if gyro is None:
+            return np.zeros(len(cuts_ns) - 1, np.bool_), np.empty((len(cuts_ns) - 1, 0))
+        turned = preintegration.preintegrate(gyro, cuts_ns, self._bias, self._period_ns)
+        return turned.gap_turn == 0.0, self._C_sg @ turned.Delta @ self._C_sg.T
 
     def _step(self, w_s: Array, turn: Array) -> tuple[NDArray[np.int64], Array]:
         """Return the track of each spot of one frame, and the turn that they show."""
         carried = self._w @ turn.T
         shown = _correction(carried, w_s, 2.0 * self._gate)
         found = np.empty((0, 2), np.int64)
-        taken = np.zeros(len(w_s), bool)
+        taken: NDArray[np.bool_] = np.zeros(len(w_s), np.bool_)
         if shown is not None:
             turn, carried = shown @ turn, carried @ shown.T
             near = _apart(carried, w_s) < self._gate**2
-            taken = np.asarray(near.any(axis=0))
+            taken |= near.any(axis=0)
             sure = near & (near.sum(axis=0) == 1) & (near.sum(axis=1) == 1)[:, None]
             found = np.argwhere(sure)
         track = np.full(len(w_s), -1)

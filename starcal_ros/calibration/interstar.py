@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """S24: the camera from interstar angles, of identified stars (T) or of followed spots (S).
 
-The equations, and the letters OC and WC, are those of `starcal_ros.interstar`; which of the four
-is ``intrinsics.interstar_equations``. The self-calibration needs no identification: `spots`
-follows the stars from frame to frame. The camera is the project's, so the nominal distortion is
-taken off exactly, and its coefficients are estimated where ``intrinsics.estimate`` names them. No
-prior: what the stars do not tell stays unknown.
+Which of the four methods is ``intrinsics.interstar_equations``; their equations, and the letters
+OC and WC, are in `starcal_ros.interstar`. The self-calibration needs no identification: `spots`
+follows the stars from frame to frame. The camera is the project's: distortion is taken off
+exactly, about the principal point of the moment, and its coefficients are estimated where
+``intrinsics.estimate`` names them. SCOC is freed of its bias (`interstar_fit`).
 
 Windows
 -------
@@ -23,7 +23,6 @@ ask for the camera after every frame, and gets that of the whole recording.
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from numpy.typing import NDArray
 from starcal_ros import camera
 from starcal_ros.camera_estimate import CameraEstimate, beginning
 from starcal_ros.config import Scenario
-from starcal_ros.interstar_fit import Fit, Window, followed, identified
+from starcal_ros.interstar_fit import Fit, Frame, Window, followed, identified
 from starcal_ros.measurements import Frames, GyroSamples, newer
 from starcal_ros.parameter import ConfigError
 from starcal_ros.places import Places
@@ -45,7 +44,7 @@ FRAMES, WINDOWS = 64, 400
 APART = 1.0 / 32.0
 
 _SILENCE_S = 1.0        # how long frames wait for the gyro
-_GYRO_KEPT = 100_000    # readings kept while no frame comes
+_GYRO_KEPT_S = 3600.0   # readings kept while no frame comes
 _NEVER_NS = np.iinfo(np.int64).min
 
 
@@ -61,6 +60,8 @@ class Interstar:
     ----------
     scenario : Scenario
         Nominal values, observer, and the group ``intrinsics``.
+    known : CameraEstimate, optional
+        In place of the nominal camera, from other frames; no prior is taken from it.
 
     Raises
     ------
@@ -83,7 +84,7 @@ class Interstar:
         self._gyro = GyroSamples.empty()
         self._waiting: list[Frames] = []
         self._turn: Array | None = None                 # since the last frame that was kept
-        self._open: list[tuple[Array, Array, NDArray[Any]]] = []    # of a window not yet full
+        self._open: list[Frame] = []                    # frames of a window that is not full yet
         self._windows: deque[Window] = deque(maxlen=WINDOWS)
         self._estimate: CameraEstimate | None = None
         self._changed = False                           # whether it lacks what has come since
@@ -99,7 +100,7 @@ class Interstar:
         good = GyroSamples(samples.stamp_ns[finite], samples.rate[finite])
         fresh = newer(good.stamp_ns, last)
         self._gyro = GyroSamples.concatenate((
-            self._gyro, GyroSamples(good.stamp_ns[fresh], good.rate[fresh])))[-_GYRO_KEPT:]
+            self._gyro, GyroSamples(good.stamp_ns[fresh], good.rate[fresh])))
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
@@ -123,6 +124,10 @@ class Interstar:
             self._changed = False
             windows = [*self._windows, *([self._window()] if self._open else [])]
             found = self._fit.solve(windows)
+            if found is None and self._windows:
+                self._notices['none'] = (
+                    f'{len(windows)} windows of {FRAMES} frames do not tell the camera yet: it '
+                    'needs stars in other parts of the field, or fewer intrinsics.estimate')
             self._estimate = None if found is None else CameraEstimate(
                 *found, sum(int(window.seen.any(axis=-1).sum()) for window in windows),
                 sum(int(window.seen.sum()) for window in windows))
@@ -148,9 +153,12 @@ class Interstar:
 
     def _follow(self) -> None:
         """Follow the spots of the frames that the gyro has reached, or that waited in vain."""
+        stamps = self._gyro.stamp_ns
         if not self._waiting:
+            if len(stamps):
+                self._forget_gyro_before(int(stamps[-1] - _GYRO_KEPT_S / NS))
             return
-        frames, stamps = Frames.concatenate(self._waiting), self._gyro.stamp_ns
+        frames = Frames.concatenate(self._waiting)
         reached = int(np.searchsorted(frames.stamp_ns, stamps[-1:].max(initial=_NEVER_NS),
                                       side='right'))
         ready = len(frames)
@@ -161,9 +169,12 @@ class Interstar:
         self._take_followed(frames[reached:ready], None)
         self._waiting = [frames[ready:]] if ready < len(frames) else []
         if ready:
-            # The reading at or before the stamp stays: the next one begins where it ends.
-            first = int(np.searchsorted(stamps, frames.stamp_ns[ready - 1], side='right')) - 1
-            self._gyro = self._gyro[max(first, 0):]
+            self._forget_gyro_before(int(frames.stamp_ns[ready - 1]))
+
+    def _forget_gyro_before(self, stamp_ns: int) -> None:
+        # The reading at or before the stamp stays: the next one begins where it ends.
+        first = int(np.searchsorted(self._gyro.stamp_ns, stamp_ns, side='right')) - 1
+        self._gyro = self._gyro[max(first, 0):]
 
     def _take_followed(self, frames: Frames, gyro: GyroSamples | None) -> None:
         if not len(frames):
@@ -180,7 +191,7 @@ class Interstar:
             rows = rows[followed.track[rows] >= 0]
             self._keep((uv[rows], sigma[rows], followed.track[rows]))
 
-    def _keep(self, frame: tuple[Array, Array, NDArray[Any]]) -> None:
+    def _keep(self, frame: Frame) -> None:
         self._changed = True
         self._open.append(frame)
         if len(self._open) == FRAMES:
