@@ -125,10 +125,10 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     bag = open_bag(path)
     topics = bag.topics()
     has_gyro = any(topic.name.endswith(GYRO_TOPIC) for topic in topics)
-    frames_topic = _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path)
     gyro_topic = (_choose(topics, GYRO_TOPIC, IMU_TYPE, path) if needs_gyro or has_gyro
                   else None)
-    chosen = [frames_topic, *([gyro_topic] if gyro_topic else [])]
+    frames_topic = _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path)
+    chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
     times: dict[str, list[NDArray[np.int64]]] = {topic.name: [] for topic in chosen}
     gyro_parts, frames_parts = [], []
     for name, log_time, messages, done in bag.messages(times):
@@ -143,9 +143,9 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
         if on_progress:
             on_progress(done)
     gyro, frames = GyroSamples.concatenate(gyro_parts), Frames.concatenate(frames_parts)
+    read_ = (len(gyro), len(frames))[-len(chosen):]
     lost = [f'{count} of {topic.count} messages on {topic.name} could be read'
-            for topic, count in zip(chosen, (len(frames), len(gyro)))
-            if count != topic.count]
+            for topic, count in zip(chosen, read_) if count != topic.count]
     recording = Recording(
         gyro if gyro_topic is None else _arrange_gyro(gyro, times[gyro_topic.name]),
         _arrange_frames(frames, times[frames_topic.name]), bag.attachments,

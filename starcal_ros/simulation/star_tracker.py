@@ -61,8 +61,16 @@ class StarTrackerSimulator:
         self._misidentification = (Misidentification(scenario, self._stars)
                                    if errors.misidentified_fraction else None)
         self._hot_pixels = HotPixels(scenario) if errors.hot_pixels_per_frame else None
-        self.truth = truth
         self._rng = rng
+
+    @property
+    def truth(self) -> Truth:
+        """Camera, mounting and attitude; may be another one for the next frames."""
+        return self._view.truth
+
+    @truth.setter
+    def truth(self, truth: Truth) -> None:
+        self._view.truth = truth
 
     def stamp_ns(self, index: np.typing.ArrayLike) -> NDArray[np.int64]:
         """Return the stamp of the frame with an index from 0: the middle of its exposure."""

@@ -35,7 +35,7 @@ class StarView:
     """
 
     def __init__(self, scenario: Scenario, truth: Truth, stars: Catalog) -> None:
-        self._truth, self._stars = truth, stars
+        self.truth, self._stars = truth, stars
         self._direction = erfa.s2c(stars.ra, stars.dec)
         self._observer = observer(scenario.observer, scenario.truth.observer)
         self._instants_ns = smear.instants_ns(scenario.star_tracker.exposure_s)
@@ -59,7 +59,7 @@ class StarView:
         u_i : (n, 3) array
             Apparent place in the middle of the exposure.
         """
-        C_si = self._truth.attitude_si(middle_ns)
+        C_si = self.truth.attitude_si(middle_ns)
         near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
         frame, star = np.nonzero(near)
         return frame, star, sky.apparent_places(self._stars, star, middle_ns, near.sum(axis=1),
@@ -67,9 +67,9 @@ class StarView:
 
     def at(self, stamps_ns: Rows, frame: Rows, u_i: Array) -> Array:
         """Return the images uv (n, 2) [px] of stars of some frames, each frame at its stamp."""
-        C_si = self._truth.attitude_si(stamps_ns)
+        C_si = self.truth.attitude_si(stamps_ns)
         r_s = (C_si[frame] @ u_i[..., None])[..., 0]
-        return camera.project(r_s, self._truth.intrinsics, self._truth.detector.pitch_mm)
+        return camera.project(r_s, self.truth.intrinsics, self.truth.detector.pitch_mm)
 
     def trail(self, middle_ns: Rows, frame: Rows, u_i: Array) -> Array:
         """Return the images (5, n, 2) [px] at the instants of `smear` while the exposure lasts."""
