@@ -70,6 +70,7 @@ setup(
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
+        'pillow>=10.0',
         'plotly>=6.0',
         'pyyaml>=6.0',
         'rich>=13.7',

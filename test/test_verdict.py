@@ -3,6 +3,7 @@
 """The verdict: sigmas against tolerances, couplings, and the motion that is missing."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -239,9 +240,10 @@ def test_axis_recommended_is_the_one_that_lowers_the_sigmas_most(run, ahead):
 
 def test_diagnostics_say_what_the_verdict_says(run):
     diagnostics = pytest.importorskip('starcal_ros.nodes.diagnostics', exc_type=ImportError)
-    from builtin_interfaces.msg import Time
+    from rclpy.clock import Clock
     verdicts, stream = run
-    status, = diagnostics.diagnostics(stream, Time(), True).status
+    node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
+    status, *_ = diagnostics.Diagnostics(node, []).message(stream, True).status
     values = {item.key: item.value for item in status.values}
     assert status.message == 'converged' and values['not_told_apart'] == 'none'
     assert values['correlation_u0_psi_y'] == f'{verdicts["end"].u0_psi_y:.4f}'

@@ -20,7 +20,7 @@ from starcal_ros import camera
 from starcal_ros.bundle import MIN_STARS, Spots, adjust, attitudes, identified
 from starcal_ros.camera_estimate import CameraEstimate, beginning, with_camera
 from starcal_ros.config import Scenario
-from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.measurements import Frames, GyroSamples, newer
 from starcal_ros.places import Places
 from starcal_ros.spots import SpotTracker
 
@@ -62,6 +62,7 @@ class Bundle:
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._gate = float(chi2.ppf(scenario.estimator.gate_probability, 2))
         self._places = Places(scenario)
+        self._newest_ns = int(np.iinfo(np.int64).min)
         self._frames: list[Frames] = []
         self._gyro: list[GyroSamples] = []
         self._notices: dict[object, str] = {}
@@ -72,8 +73,14 @@ class Bundle:
         self._gyro.append(samples)
 
     def add_frames(self, frames: Frames) -> None:
-        """Take frames."""
-        self._frames.append(frames)
+        """Take frames, in the order in which they arrived."""
+        fresh = newer(frames.stamp_ns, self._newest_ns)
+        if not fresh.all():
+            self._notice('order', f'frame at {frames.stamp_ns[~fresh][0]} ns is not newer than '
+                         'the one before: dropped')
+        if fresh.any():
+            self._frames.append(frames.take(fresh))
+            self._newest_ns = int(frames.stamp_ns[fresh][-1])
 
     def take_notices(self) -> list[str]:
         """Return what happened that a user should know, once."""
@@ -111,8 +118,6 @@ class Bundle:
         return _Start(spots, attitudes(spots, r_s), np.empty((0, 3)))
 
     def _from_tracks(self, frames: Frames) -> _Start | None:
-        fresh = np.diff(np.maximum.accumulate(frames.stamp_ns), prepend=np.iinfo(np.int64).min) > 0
-        frames = frames.take(fresh)
         if len(frames) < _SIGHTINGS:
             return None
         gyro = GyroSamples.concatenate(self._gyro)
