@@ -1,6 +1,6 @@
 # Everything a fresh machine needs: each target first makes .venv, with ROS 2 in it, from PyPI.
 
-.PHONY: help demo test lint clean browser
+.PHONY: help demo test lint docs clean browser
 .DEFAULT_GOAL := help
 
 # The ROS 2 in .venv must not meet one that the shell has sourced.
@@ -13,14 +13,16 @@ help:
 	@echo 'make demo   simulate a star tracker and its gyros, calibrate them; results in demo/'
 	@echo 'make test   the whole test suite, style included'
 	@echo 'make lint   style, types and the direction of imports only'
+	@echo 'make docs   the documentation, from build/docs/index.html on'
 	@echo 'make clean  remove what the others made'
 
 demo: .venv/installed
 	.venv/bin/starcal demo
 	@echo; ls -lR demo
 
+# On two cores, each file of tests on one of them, with one thread of its own.
 test: .venv/installed browser
-	.venv/bin/pytest test
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile test
 
 # A browser that the report is tested in; without one those tests are skipped.
 browser:
@@ -33,8 +35,12 @@ browser:
 lint: .venv/installed
 	.venv/bin/pytest test/test_style.py
 
+docs: .venv/installed
+	.venv/bin/sphinx-build -W --keep-going -q docs build/docs
+	@echo 'Documentation: build/docs/index.html'
+
 clean:
-	rm -rf .venv demo build *.egg-info .mypy_cache .pytest_cache
+	rm -rf .venv demo build docs/api *.egg-info .mypy_cache .pytest_cache
 	find . -name __pycache__ -prune -exec rm -r {} +
 
 # The checkout itself, copied into .venv anew when anything in it changes, a file removed

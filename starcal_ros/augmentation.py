@@ -109,8 +109,8 @@ def matrix(values: Array) -> Array:
 
 
 def gain(values: Array) -> Array:
-    """Return G = (I + M)^-1, (..., 3, 3)."""
-    return _inverse(matrix(values))
+    """Return G = (I + M)^-1, (..., 3, 3); the identity where M is no state."""
+    return _inverse(matrix(values)) if has_matrix(values.shape[-1]) else np.eye(3)
 
 
 def error(values: Array, true: Array, C_sg: Array) -> Array:

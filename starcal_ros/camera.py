@@ -235,3 +235,11 @@ def backproject(uv: Array, intrinsics: Array, pitch_mm: float) -> tuple[Array, A
     _fill_lens_slope(lens_slope, x, y, 1.0 / pitch_mm)
     return w_s, dw_duv, np.concatenate(
         (-dw_duv, across[..., 2:], -dw_duv @ lens_slope), axis=-1)
+
+
+def distortion(uv: Array, intrinsics: Array, pitch_mm: float) -> Array:
+    """Return the distortion, (..., n, 2) [px], of undistorted image points uv (..., n, 2) [px]."""
+    u0, v0, _, *lens = (intrinsics[..., k, None] for k in range(7))
+    x, y = (uv[..., 0] - u0) * pitch_mm, (uv[..., 1] - v0) * pitch_mm
+    x_distorted, y_distorted, *_ = _distorted(x, y, *lens)
+    return np.stack((x_distorted - x, y_distorted - y), axis=-1) / pitch_mm

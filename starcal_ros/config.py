@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from starcal_ros.config_intrinsics import IntrinsicsConfig
+from starcal_ros.config_nodes import PlayerConfig, RecorderConfig
 from starcal_ros.config_truth import (MountingDriftConfig, TrueCameraConfig, TrueGyroConfig,
                                       TrueObserverConfig, TrueStarTrackerConfig)
 from starcal_ros.parameter import ConfigError, Parameter, Spec, declared
@@ -31,6 +32,9 @@ from starcal_ros.utc import unix_ns
 
 Floats = tuple[float, ...]
 Strings = tuple[str, ...]
+ROS_OWN = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+"""Parameters that ROS 2 gives to every node: a parameter file may hold them."""
+
 _TINY = 1e-12
 _LONGEST_TRAIL_DEG = 5.0        # across a field of view of some 15 deg
 
@@ -165,17 +169,21 @@ class ProcessNoiseConfig:
     """How fast each kind of calibrated state walks at random; 0 is a state that stays."""
 
     gyro_bias_deg_h_sqrt_h: Annotated[float, Spec(
-        'Random walk of the gyro bias', 'deg/h/sqrt(h)', 0.0, 1e6)] = 0.0
+        'Random walk of the gyro bias', 'deg/h/sqrt(h)', 0.0, 1e6, changeable=True)] = 0.0
     fixed_angles_arcsec_sqrt_h: Annotated[float, Spec(
-        'Random walk of the fixed angles', 'arcsec/sqrt(h)', 0.0, 1e6)] = 0.0
+        'Random walk of the fixed angles', 'arcsec/sqrt(h)', 0.0, 1e6, changeable=True)] = 0.0
     principal_point_px_sqrt_h: Annotated[float, Spec(
-        'Random walk of the principal point', 'px/sqrt(h)', 0.0, 1e4)] = 0.0
+        'Random walk of the principal point', 'px/sqrt(h)', 0.0, 1e4, changeable=True)] = 0.0
     focal_length_mm_sqrt_h: Annotated[float, Spec(
-        'Random walk of the focal length', 'mm/sqrt(h)', 0.0, 1e4)] = 0.0
-    k1_sqrt_h: Annotated[float, Spec('Random walk of k1', 'mm^-2/sqrt(h)', 0.0, 1.0)] = 0.0
-    k2_sqrt_h: Annotated[float, Spec('Random walk of k2', 'mm^-4/sqrt(h)', 0.0, 1.0)] = 0.0
-    p1_sqrt_h: Annotated[float, Spec('Random walk of p1', 'mm^-1/sqrt(h)', 0.0, 1.0)] = 0.0
-    p2_sqrt_h: Annotated[float, Spec('Random walk of p2', 'mm^-1/sqrt(h)', 0.0, 1.0)] = 0.0
+        'Random walk of the focal length', 'mm/sqrt(h)', 0.0, 1e4, changeable=True)] = 0.0
+    k1_sqrt_h: Annotated[float, Spec(
+        'Random walk of k1', 'mm^-2/sqrt(h)', 0.0, 1.0, changeable=True)] = 0.0
+    k2_sqrt_h: Annotated[float, Spec(
+        'Random walk of k2', 'mm^-4/sqrt(h)', 0.0, 1.0, changeable=True)] = 0.0
+    p1_sqrt_h: Annotated[float, Spec(
+        'Random walk of p1', 'mm^-1/sqrt(h)', 0.0, 1.0, changeable=True)] = 0.0
+    p2_sqrt_h: Annotated[float, Spec(
+        'Random walk of p2', 'mm^-1/sqrt(h)', 0.0, 1.0, changeable=True)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -212,43 +220,30 @@ class EstimatorConfig:
         'Correct the nominal values after each frame; false is the open-loop filter of the '
         'paper')] = True
     gate_probability: Annotated[float, Spec(
-        'Probability with which a good star passes the chi-square gate', '', 0.5, 1.0)] = 0.9999
+        'Probability with which a good star passes the chi-square gate', '', 0.5, 1.0,
+        changeable=True)] = 0.9999
     reacquire_after_frames: Annotated[int, Spec(
         'Frames in a row, most of their stars rejected, before the attitude is found afresh',
-        '', 1, 1000)] = 5
+        '', 1, 1000, changeable=True)] = 5
     gap_acceleration_deg_s2: Annotated[float, Spec(
-        'Angular acceleration that may hide in a silence of the gyro', 'deg/s^2', 0.0, 1e4)
-    ] = 1.0
-    calibration_file: Annotated[str, Spec(
-        'Where the service save_calibration writes the result')] = 'calibration.json'
-
-
-@dataclass(frozen=True)
-class RecorderConfig:
-    """The recorder node."""
-
-    output: Annotated[str, Spec('File to write; must not exist')] = 'run.mcap'
-    topics: Annotated[Strings, Spec(
-        'Topics to record; empty is all topics of the suite')] = ()
-
-
-@dataclass(frozen=True)
-class PlayerConfig:
-    """The player node."""
-
-    bag: Annotated[str, Spec('Recording to publish again')] = ''
-    rate: Annotated[float, Spec(
-        'Recorded seconds a second; 0 is as fast as the subscribers take it', '', 0.0, 1e6)] = 1.0
-    topics: Annotated[Strings, Spec(
-        'Topics to publish; empty is all but the results (starcal/*)')] = ()
+        'Angular acceleration that may hide in a silence of the gyro', 'deg/s^2', 0.0, 1e4,
+        changeable=True)] = 1.0
     wait_for_subscribers: Annotated[int, Spec(
-        'Subscribers that each sensor topic must have before the replay begins', '', 0, 100)] = 0
+        'Subscribers that each result topic must have before the sensors are listened to', '', 0,
+        100)] = 0
+    calibration_directory: Annotated[str, Spec(
+        'Where the service save_calibration puts calibrations, in a numbered folder each; in a '
+        'namespace, in its folder there')] = 'calibrations'
+    load_calibration: Annotated[bool, Spec(
+        'Start from the newest calibration there, values and covariance, if there is one')] = False
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """All groups of one parameter file."""
+    """All of one parameter file."""
 
+    autostart: Annotated[bool, Spec(
+        'The managed nodes (estimator, recorder) configure and activate themselves')] = True
     camera: CameraConfig = field(default_factory=CameraConfig)
     mounting: MountingConfig = field(default_factory=MountingConfig)
     gyro: GyroConfig = field(default_factory=GyroConfig)
@@ -289,10 +284,7 @@ _PARAMETERS: dict[str, Parameter] = {}
 def parameters() -> Mapping[str, Parameter]:
     """Return every parameter of the suite by its dotted name, in the order of declaration."""
     if not _PARAMETERS:
-        groups = typing.get_type_hints(Scenario)
-        for item in dataclasses.fields(Scenario):
-            group = groups[item.name]
-            _PARAMETERS.update(declared(group, item.name + '.', group()))
+        _PARAMETERS.update(declared(Scenario))
     return _PARAMETERS
 
 
@@ -306,6 +298,8 @@ def _get(scenario: Scenario, key: str) -> Any:
 def from_flat(values: Mapping[str, Any]) -> Scenario:
     """Build a scenario from dotted names; what is absent takes its default.
 
+    The parameters of `ROS_OWN` are passed over.
+
     Raises
     ------
     ConfigError
@@ -314,6 +308,8 @@ def from_flat(values: Mapping[str, Any]) -> Scenario:
     known = parameters()
     tree: dict[str, Any] = {}
     for key, value in values.items():
+        if key.startswith(ROS_OWN):
+            continue
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1)
             hint = f'; did you mean {near[0]}?' if near else ''

@@ -8,6 +8,7 @@ No rclpy here: the nodes are processes of their own, started and ended as a user
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import re
@@ -39,12 +40,21 @@ class NodeError(RuntimeError):
 
 def node_command(name: str, parameters: Mapping[str, object], params_file: Path | None = None
                  ) -> list[str]:
-    """Return the command line of a node of the suite."""
+    """Return the command line of a node of the suite.
+
+    Raises
+    ------
+    NodeError
+        Where there is no ROS 2.
+    """
+    if find_spec('rclpy') is None:
+        raise NodeError("no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'")
     command = [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args']
     if params_file is not None:
         command += ['--params-file', str(params_file)]
     for key, value in parameters.items():
-        command += ['-p', f'{key}:={value}']
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        command += ['-p', f'{key}:={text}']
     return command
 
 
@@ -68,6 +78,7 @@ def run_live(scenario: Scenario, folder: Path,
     """
     recording = folder / RECORDING
     scenario = scenario.replace({'recorder.output': str(recording),
+                                 'estimator.wait_for_subscribers': 1,
                                  'simulation.wait_for_subscribers': 2})
     params_file = folder / PARAMETERS
     params_file.write_text(parameter_file.dump(scenario), encoding='utf-8')
@@ -80,8 +91,9 @@ def run_live(scenario: Scenario, folder: Path,
         threading.Thread(target=_follow, args=(nodes['gyro_sim'], on_progress),
                          daemon=True).start()
         _wait_for_simulators(nodes)
-        # The simulators end when all they sent has arrived. The estimator uses up what waits
-        # before it ends, and then the recorder.
+        # Nothing is lost at the beginning: the simulators wait for recorder and estimator, and
+        # that for the recorder. Nor at the end: the simulators end when all they sent has arrived,
+        # the estimator uses up what waits, and then the recorder.
         for name in ('estimator', 'recorder'):
             nodes[name].send_signal(signal.SIGINT)
             _expect_end(name, nodes[name])

@@ -232,9 +232,17 @@ class Update(NamedTuple):
 
 
 class Filter:
-    """The filter of one scenario: its constants, and the steps as functions of a `Belief`."""
+    """The filter of one scenario: its constants, and the steps as functions of a `Belief`.
 
-    def __init__(self, scenario: Scenario) -> None:
+    Parameters
+    ----------
+    scenario : Scenario
+        Nominal values and estimator options.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
+    """
+
+    def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
         options = scenario.estimator
         self.detector = detector(scenario.camera)
         self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
@@ -251,13 +259,17 @@ class Filter:
         self.density = _vector(options.process_noise) / 60.0        # of the walks, per sqrt(s)
         self.has_matrix = augmentation.has_matrix(len(augmented))
         self.scale = _SCALES[:len(self.initial_sigma)]
+        self._start_root = np.diag(self.initial_sigma / self.scale)
+        if covariance is not None:
+            self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
+                covariance / np.outer(SCALE[CALIBRATED], SCALE[CALIBRATED]))
         half = 0.5 * np.hypot(self.detector.width, self.detector.height) * self.detector.pitch_mm
         self._cos_field = float(np.cos(np.arctan(_FIELD * half / scenario.camera.focal_length_mm)))
 
     def begin(self, C_gi: Array) -> Belief:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
         batch, n, start = C_gi.shape[:-2], len(self.scale), self.start
-        root = np.broadcast_to(np.diag(self.initial_sigma / self.scale), (*batch, n, n))
+        root = np.broadcast_to(self._start_root, (*batch, n, n))
         nominal = Nominal(C_gi, *(
             np.broadcast_to(part, (*batch, *part.shape))
             for part in (start.bias, start.C_sg, start.intrinsics, start.augmented)))

@@ -62,6 +62,12 @@ def predict(root: Array, Phi: Array, Q_root: Array) -> Array:
     return np.swapaxes(triangle, -1, -2)
 
 
+def root_of(covariance: Array) -> Array:
+    """Return a root, (..., n, n), of a covariance; what rounding made negative in it is zero."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+
+
 def marginal(root: Array, k: int) -> Array:
     """Return a root, (..., k, k), of the covariance of the first k of n states."""
     if root.shape[-1] == k:

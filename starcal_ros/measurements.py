@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +96,14 @@ class Frames:
                       self.uv_raster[low:high], self.sigma[low:high],
                       self.magnitude[low:high], self.catalog_id[low:high])
 
+    def take(self, rows: NDArray[Any]) -> Frames:
+        """Return some of the frames, given by number in any order or by a mask."""
+        counts = self.star_counts[rows]
+        first = np.concatenate(([0], np.cumsum(counts)))
+        star = np.repeat(self.first[:-1][rows] - first[:-1], counts) + np.arange(first[-1])
+        return Frames(self.stamp_ns[rows], first, self.uv_raster[star], self.sigma[star],
+                      self.magnitude[star], self.catalog_id[star])
+
     @property
     def star_counts(self) -> NDArray[np.int64]:
         """Number of stars in each frame, (n_frames,)."""
@@ -137,3 +145,9 @@ class Stars(NamedTuple):
     u_i: Array
     uv: Array
     sigma: Array
+
+
+def newer(stamps_ns: NDArray[np.int64], last_ns: int) -> NDArray[np.bool_]:
+    """Tell which stamps are larger than all before them and than `last_ns`."""
+    before = np.concatenate(([last_ns], np.maximum.accumulate(stamps_ns)))[:-1]
+    return stamps_ns > np.maximum(before, last_ns)

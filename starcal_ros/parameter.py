@@ -23,7 +23,7 @@ class ConfigError(ValueError):
 
 @dataclass(frozen=True)
 class Spec:
-    """What a parameter means and what is allowed."""
+    """What a parameter means, what is allowed, and whether a running node takes a new value."""
 
     text: str
     unit: str = ''
@@ -31,6 +31,7 @@ class Spec:
     high: float = math.inf
     length: int | None = None
     choices: tuple[str, ...] = ()
+    changeable: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ class Parameter:
                                   f'{spec.low:g} to {spec.high:g} {spec.unit}'.rstrip())
 
 
-def declared(group: type, prefix: str, default: Any) -> Iterator[tuple[str, Parameter]]:
+def declared(group: type, prefix: str = '', default: Any = None
+             ) -> Iterator[tuple[str, Parameter]]:
     """Yield the parameters of a group, and of groups in it, by dotted name.
 
     Parameters
@@ -94,13 +96,13 @@ def declared(group: type, prefix: str, default: Any) -> Iterator[tuple[str, Para
         A dataclass.
     prefix : str
         Put before each name.
-    default : object
-        An instance that holds the defaults.
+    default : object, optional
+        An instance that holds the defaults; those of the fields where it is not given.
     """
     hints = typing.get_type_hints(group, include_extras=True)
     for item in dataclasses.fields(group):
-        hint, value = hints[item.name], getattr(default, item.name)
-        key = prefix + item.name
+        hint, key = hints[item.name], prefix + item.name
+        value = _default(item) if default is None else getattr(default, item.name)
         if dataclasses.is_dataclass(hint):
             yield from declared(typing.cast(type, hint), key + '.', value)
             continue
@@ -109,3 +111,8 @@ def declared(group: type, prefix: str, default: Any) -> Iterator[tuple[str, Para
         if optional:
             base = next(arg for arg in typing.get_args(base) if arg is not types.NoneType)
         yield key, Parameter(base, optional, value, spec)
+
+
+def _default(item: dataclasses.Field[Any]) -> Any:
+    factory = item.default_factory
+    return item.default if factory is dataclasses.MISSING else factory()

@@ -15,6 +15,7 @@ from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, Stars
 from starcal_ros.scenario import detector, observer
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SIGMA_PX = (1e-4, 1e3)
@@ -62,10 +63,7 @@ class Places:
         stars = catalog.load_containing(frames.catalog_id)
         row = stars.rows(frames.catalog_id)
         frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-        uv = frames.uv_raster - self._detector.centre_raster
-        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
-        measured = (self._detector.contains(uv / _OUTSIDE)
-                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        uv, sigma, measured = self.centroids(frames)
         usable = measured & (row >= 0)
         u_i = np.tile([0.0, 0.0, 1.0], (len(uv), 1))
         u_i[usable] = sky.apparent_places(
@@ -74,6 +72,24 @@ class Places:
         return Placed(
             Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf)),
             measured, list(_notices(frames, frame, sigma, measured, row)))
+
+    def centroids(self, frames: Frames) -> tuple[Array, Array, Mask]:
+        """Return the centroids of frames as they can be used, with or without a place.
+
+        Returns
+        -------
+        uv : (n, 2) array
+            From the centre of the detector [px].
+        sigma : (n,) array
+            Standard deviation of each axis [px].
+        measured : (n,) bool array
+            Which can be used.
+        """
+        uv = frames.uv_raster - self._detector.centre_raster
+        sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
+        measured = (self._detector.contains(uv / _OUTSIDE)
+                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        return uv, sigma, measured
 
 
 def _notices(frames: Frames, frame: NDArray[np.int64], sigma: NDArray[np.float64], measured: Mask,

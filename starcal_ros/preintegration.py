@@ -102,12 +102,13 @@ def cut(gyro: GyroSamples, cuts_ns: NDArray[np.int64], period_ns: float) -> Piec
     first = max(int(np.searchsorted(gyro.stamp_ns, cuts_ns[0], side='right')) - 1, 0)
     gyro = gyro[first:int(np.searchsorted(gyro.stamp_ns, cuts_ns[-1])) + 1]
     stamps = gyro.stamp_ns
-    step = np.diff(stamps, prepend=stamps[0] - int(period_ns))
+    # A live node comes here with each reading: numpy's diff would take half of the time.
+    step = np.concatenate(([int(period_ns)], stamps[1:] - stamps[:-1]))
     begins = stamps - np.where(step > GAP * period_ns, int(period_ns), step)
     # Sorted by hand: numpy's unique hashes, which costs ten times as much.
     ends = np.sort(np.concatenate((stamps, begins, cuts_ns)), kind='stable')
-    ends = ends[np.diff(ends, prepend=ends[0] - 1) > 0]
-    ends = ends[(ends >= cuts_ns[0]) & (ends <= cuts_ns[-1])]
+    fresh = np.concatenate(([True], ends[1:] > ends[:-1]))
+    ends = ends[fresh & (ends >= cuts_ns[0]) & (ends <= cuts_ns[-1])]
     start, end = ends[:-1], ends[1:]
     sample = np.searchsorted(stamps, end)           # the first reading that ends here or later
     silent = end <= begins[sample]

@@ -42,7 +42,7 @@ class Recording:
     attachments : dict of bytes
         Attached files by name (configuration, truth).
     gyro_topic, frames_topic : str
-        The topics they were read from.
+        The topics they were read from; '' where there is no gyro.
     path : Path
         The recording.
     sha256 : str
@@ -99,7 +99,8 @@ class Summary:
     warnings: tuple[str, ...]
 
 
-def read(path: str | Path, on_progress: Callable[[float], None] | None = None) -> Recording:
+def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
+         needs_gyro: bool = True) -> Recording:
     """Read the gyro samples and star frames of a recording.
 
     The topics are ``/imu/data_raw`` and ``/star_tracker/centroids``, or else the only ones that
@@ -111,6 +112,8 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None) -
         One .mcap file or a rosbag2 directory.
     on_progress : callable, optional
         Called with the part that has been read, 0 to 1.
+    needs_gyro : bool
+        Refuse a recording without gyro readings.
 
     Raises
     ------
@@ -121,29 +124,33 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None) -
     path = Path(path)
     bag = open_bag(path)
     topics = bag.topics()
-    gyro_topic = _choose(topics, GYRO_TOPIC, IMU_TYPE, path)
+    has_gyro = any(topic.name.endswith(GYRO_TOPIC) for topic in topics)
+    gyro_topic = (_choose(topics, GYRO_TOPIC, IMU_TYPE, path) if needs_gyro or has_gyro
+                  else None)
     frames_topic = _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path)
-    times: dict[str, list[NDArray[np.int64]]] = {gyro_topic.name: [], frames_topic.name: []}
+    chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
+    times: dict[str, list[NDArray[np.int64]]] = {topic.name: [] for topic in chosen}
     gyro_parts, frames_parts = [], []
     for name, log_time, messages, done in bag.messages(times):
         try:
-            if name == gyro_topic.name:
-                gyro_parts.append(decode_imu(messages))
-            else:
+            if name == frames_topic.name:
                 frames_parts.append(decode_centroids(messages))
+            else:
+                gyro_parts.append(decode_imu(messages))
         except RecordError as error:
             raise RecordError(f'{path}: {name}: {error}') from None
         times[name].append(log_time)
         if on_progress:
             on_progress(done)
     gyro, frames = GyroSamples.concatenate(gyro_parts), Frames.concatenate(frames_parts)
-    lost = [f'{len(read_)} of {topic.count} messages on {topic.name} could be read'
-            for topic, read_ in ((gyro_topic, gyro), (frames_topic, frames))
-            if len(read_) != topic.count]
+    read_ = (len(gyro), len(frames))[-len(chosen):]
+    lost = [f'{count} of {topic.count} messages on {topic.name} could be read'
+            for topic, count in zip(chosen, read_) if count != topic.count]
     recording = Recording(
-        _arrange_gyro(gyro, times[gyro_topic.name]),
-        _arrange_frames(frames, times[frames_topic.name]), bag.attachments, gyro_topic.name,
-        frames_topic.name, path, _sha256(bag), (*bag.warnings, *lost))
+        gyro if gyro_topic is None else _arrange_gyro(gyro, times[gyro_topic.name]),
+        _arrange_frames(frames, times[frames_topic.name]), bag.attachments,
+        gyro_topic.name if gyro_topic else '', frames_topic.name, path, _sha256(bag),
+        (*bag.warnings, *lost))
     if on_progress:
         on_progress(1.0)
     return recording
@@ -197,13 +204,7 @@ def _arrange_gyro(gyro: GyroSamples, times: list[NDArray[np.int64]]) -> GyroSamp
 
 def _arrange_frames(frames: Frames, times: list[NDArray[np.int64]]) -> Frames:
     order = _order(times)
-    if order is None:
-        return frames
-    counts = frames.star_counts[order]
-    first = np.concatenate(([0], np.cumsum(counts)))
-    star = np.repeat(frames.first[order] - first[:-1], counts) + np.arange(first[-1])
-    return Frames(frames.stamp_ns[order], first, frames.uv_raster[star], frames.sigma[star],
-                  frames.magnitude[star], frames.catalog_id[star])
+    return frames if order is None else frames.take(order)
 
 
 def _order(times: list[NDArray[np.int64]]) -> NDArray[np.intp] | None:

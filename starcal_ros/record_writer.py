@@ -27,23 +27,37 @@ from starcal_ros.mcap_writer import CHUNK_NS, McapWriter
 from starcal_ros.measurements import Frames, GyroSamples
 
 
+ENDLESS_NS = 2**63 - 1
+"""A duration without end, as ROS 2 writes it."""
+
+
 @dataclass(frozen=True)
 class Qos:
-    """What a publisher offers: the policies in which the topics of the suite differ."""
+    """What a publisher offers: the nine policies of ROS 2."""
 
+    history: str = 'keep_last'
     depth: int = 100
     reliability: str = 'reliable'
     durability: str = 'volatile'
+    deadline_ns: int = ENDLESS_NS
+    lifespan_ns: int = ENDLESS_NS
+    liveliness: str = 'automatic'
+    liveliness_lease_duration_ns: int = ENDLESS_NS
+    avoid_ros_namespace_conventions: bool = False
 
     @property
-    def profiles(self) -> str:
-        """All nine policies as rosbag2 records them, YAML."""
-        endless = '{sec: 9223372036, nsec: 854775807}'
-        return (f'- history: keep_last\n  depth: {self.depth}\n'
+    def profile(self) -> str:
+        """All policies as rosbag2 records them, YAML."""
+        def duration(ns: int) -> str:
+            return '{sec: %d, nsec: %d}' % divmod(ns, 10**9)
+        return (f'- history: {self.history}\n  depth: {self.depth}\n'
                 f'  reliability: {self.reliability}\n  durability: {self.durability}\n'
-                f'  deadline: {endless}\n  lifespan: {endless}\n'
-                f'  liveliness: automatic\n  liveliness_lease_duration: {endless}\n'
-                '  avoid_ros_namespace_conventions: false')
+                f'  deadline: {duration(self.deadline_ns)}\n'
+                f'  lifespan: {duration(self.lifespan_ns)}\n  liveliness: {self.liveliness}\n'
+                '  liveliness_lease_duration: '
+                f'{duration(self.liveliness_lease_duration_ns)}\n'
+                '  avoid_ros_namespace_conventions: '
+                f'{str(self.avoid_ros_namespace_conventions).lower()}')
 
 
 LATCHED = Qos(depth=1, durability='transient_local')
@@ -61,15 +75,15 @@ class Batch:
         When each was recorded.
     messages : (n, size) uint8 array, or n bytes
         The messages in CDR.
-    qos : Qos
-        What the publisher offers.
+    qos : tuple of Qos
+        What each publisher offers.
     """
 
     topic: str
     type_name: str
     log_time_ns: NDArray[np.int64]
     messages: NDArray[np.uint8] | Sequence[bytes]
-    qos: Qos = Qos()
+    qos: tuple[Qos, ...] = (Qos(),)
 
 
 def imu_batch(topic: str, samples: GyroSamples, frame_id: str = 'gyro',
@@ -142,7 +156,7 @@ class Writer:
         RecordError
             If the type is not known or not that of the topic.
         """
-        self._mcap.add_message(self._channel(topic, type_name, qos), log_time_ns,
+        self._mcap.add_message(self._channel(topic, type_name, (qos,)), log_time_ns,
                                log_time_ns if publish_time_ns is None else publish_time_ns, cdr)
 
     def write_imu(self, topic: str, samples: GyroSamples, frame_id: str = 'gyro',
@@ -195,7 +209,7 @@ class Writer:
             with self._stream:
                 self._mcap.finish()
 
-    def _channel(self, topic: str, type_name: str, qos: Qos) -> int:
+    def _channel(self, topic: str, type_name: str, qos: tuple[Qos, ...]) -> int:
         """Return the id of a topic, declared at its first message."""
         if topic not in self._channels:
             if type_name not in self._schemas:
@@ -203,7 +217,7 @@ class Writer:
                     type_name, 'ros2msg', _definition(type_name).encode())
             self._channels[topic] = self._mcap.add_channel(
                 topic, 'cdr', self._schemas[type_name],
-                {'offered_qos_profiles': qos.profiles,
+                {'offered_qos_profiles': '\n'.join(offer.profile for offer in qos),
                  'topic_type_hash': typestore().hash_rihs01(type_name)}), type_name
         channel, declared = self._channels[topic]
         if declared != type_name:

@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The outcome of a calibration: RESULT.json."""
+"""The outcome of a calibration: RESULT.json, and the camera's part of it alone."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from typing import Any
 
 import numpy as np
 
+import starcal_ros
 from starcal_ros import augmentation, rotation
 from starcal_ros.camera import INTRINSICS_KEYS
+from starcal_ros.camera_estimate import CameraEstimate
+from starcal_ros.config import Scenario
 from starcal_ros.estimator import CALIBRATED, EPSILON, LENS, PSI, UNIT, Belief
+from starcal_ros.record import Recording
 from starcal_ros.stream import Stream
 
 
@@ -84,12 +88,33 @@ def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
     return values
 
 
+def camera(estimate: CameraEstimate) -> dict[str, Any]:
+    """Return what is known of a camera: the names of RESULT.json, the covariance that of seven."""
+    return {
+        'intrinsics': _named(estimate.intrinsics),
+        'intrinsics_sigma': _named(estimate.sigma),
+        'covariance': estimate.covariance.tolist(),
+        'counts': {'frames': estimate.frames, 'stars': estimate.stars},
+    }
+
+
+def provenance(scenario: Scenario, recording: Recording) -> dict[str, str]:
+    """Return where a result comes from: version, configuration hash, bag hash."""
+    return {'version': starcal_ros.__version__, 'config_sha256': scenario.sha256,
+            'bag': str(recording.path), 'bag_sha256': recording.sha256}
+
+
 def no_attitude(stream: Stream) -> str:
     """Say why there is nothing to report."""
     counts = stream.counts
     return (f'no attitude from any frame: {counts.gyro} gyro readings, {counts.frames} frames '
             f'reached by them ({counts.empty_frames} without a usable star, '
             f'{counts.unusable_stars} stars unusable), {stream.waiting} frames waiting for gyro')
+
+
+def dumps(values: dict[str, Any]) -> str:
+    """Return a dictionary as JSON; NaN and infinity are refused."""
+    return json.dumps(values, indent=1, allow_nan=False) + '\n'
 
 
 def write_json(path: str | Path, values: dict[str, Any]) -> None:
@@ -100,9 +125,8 @@ def write_json(path: str | Path, values: dict[str, Any]) -> None:
     CalibrationError
         Where the file cannot be written.
     """
-    text = json.dumps(values, indent=1, allow_nan=False) + '\n'
     try:
-        Path(path).write_text(text, encoding='utf-8')
+        Path(path).write_text(dumps(values), encoding='utf-8')
     except OSError as error:
         raise CalibrationError(f'{path}: cannot be written: {error.strerror}') from None
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import rotation
-from starcal_ros.camera import Detector
+from starcal_ros.camera import INTRINSICS, Detector
 from starcal_ros.estimator import N_STATES, PSI, STATE_NAMES, Belief
 
 Array = NDArray[np.float64]
@@ -28,6 +28,9 @@ STATE_LAYOUT = (('stamp_s', 1),
                  'v0_px f_mm k1_mm-2 k2_mm-4 p1_mm-1 p2_mm-1', N_STATES),
                 (f'covariance of errors {",".join(STATE_NAMES)}', N_STATES * N_STATES))
 """Labels and sizes of the parts of `starcal/state`, one after the other."""
+INTRINSICS_LAYOUT = (('stamp_s', 1), ('u0_px v0_px f_mm k1_mm-2 k2_mm-4 p1_mm-1 p2_mm-1', 7),
+                     (f'covariance of errors {",".join(INTRINSICS)}', 49))
+"""The same of `starcal/intrinsics/state`."""
 
 
 class PlumbBob(NamedTuple):

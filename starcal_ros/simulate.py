@@ -81,7 +81,8 @@ def _latched(scenario: Scenario, truth: Truth) -> list[Batch]:
         VECTOR_LABEL, len(values), len(values))
     parameters = types['std_msgs/msg/Float64MultiArray'](
         types['std_msgs/msg/MultiArrayLayout']([dimension], 0), values)
-    return [Batch(topic, type_name, np.array([start]), [serialize(type_name, message)], LATCHED)
+    return [Batch(topic, type_name, np.array([start]), [serialize(type_name, message)],
+                  (LATCHED,))
             for topic, type_name, message in (
                 ('/star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', camera),
                 ('/truth/parameters', 'std_msgs/msg/Float64MultiArray', parameters))]

@@ -7,7 +7,10 @@ soon as a gyro sample reaches its stamp, whatever the order in which the two top
 estimates depend on the messages alone: a live run and the calibration of its recording agree.
 
 Nothing that comes in stops the stream. What can not be used is dropped, counted (`Counts`) and
-named once in `Stream.take_notices`.
+named once in `Stream.take_notices`. Which stamps are believed `timeline` tells, topic by topic.
+Where the clock of both was set back, the stream finishes what came before and starts again from
+the nominal values. Where that of one topic alone was, and the other goes on past the time at
+which it is caught up with, what came too late is dropped.
 """
 
 from __future__ import annotations
@@ -15,18 +18,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import augmentation, preintegration
 from starcal_ros.acquisition import AcquisitionError, acquire
-from starcal_ros.config import Scenario
-from starcal_ros.estimator import SIGMA_ACQUIRED, Belief, Filter, Update
+from starcal_ros.config import EstimatorConfig, Scenario
+from starcal_ros.estimator import EPSILON, SCALE, SIGMA_ACQUIRED, Belief, Filter, Update
 from starcal_ros.measurements import Frames, GyroSamples, Stars
 from starcal_ros.places import Places
 from starcal_ros.preintegration import GAP, Preintegrated
+from starcal_ros.timeline import NEVER_NS, Dropped, Timeline
 from starcal_ros.track import Track, Tracker
 from starcal_ros.units import NS
 
@@ -38,7 +43,7 @@ REPROJECTION_S = 600.0
 _GYRO_KEPT_S = 3600.0       # readings kept while no frame comes [s]
 _FRAMES_KEPT = 20_000       # frames kept while no gyro comes
 _BATCH = 2000               # frames prepared at once
-_NEVER_NS = np.iinfo(np.int64).min
+_ONE_SIDED_NS = 5 * 10**9   # time that one topic goes on without the other's jump
 _NAMED = 20                 # notices of one kind, at most
 
 
@@ -55,8 +60,9 @@ class Counts:
     gyro_gaps: int = 0              # silences of the gyro
     missing_gyro: int = 0           # readings that the stamps say are missing
     missing_frames: int = 0         # frames that the stamps say are missing
-    dropped_messages: int = 0       # messages late, duplicate or not finite
+    dropped_messages: int = 0       # messages late, duplicate or not finite, also before restarts
     acquisitions: int = 0           # times the attitude was found from the stars
+    restarts: int = 0               # times the clock was set back and all began again
 
 
 class FrameResult(NamedTuple):
@@ -102,46 +108,67 @@ class Stream:
     ----------
     scenario : Scenario
         Its nominal values, observer and estimator options; never its truth.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.filter = Filter(scenario)
-        self.counts = Counts()
-        self.belief: Belief | None = None
-        self.stamp_ns = 0                               # of the last frame processed
+    def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
+        self._scenario, self._covariance = scenario, covariance
+        self.filter = Filter(scenario, covariance)
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
         self._patience = scenario.estimator.reacquire_after_frames
         self._places = Places(scenario)
+        self._gyro_time = Timeline[GyroSamples](
+            self._period_ns, kept=round(_GYRO_KEPT_S / NS / self._period_ns))
+        self._frame_time = Timeline[Frames](self._frame_period_ns, kept=_FRAMES_KEPT)
+        self._notices: list[str] = []
+        self._named: set[object] = set()
+        self._begin(restarts=0)
+
+    def _begin(self, restarts: int) -> None:
+        self.counts = Counts(restarts=restarts)
+        self.belief: Belief | None = None
+        self.stamp_ns = 0                               # of the last frame processed
         self._gyro = GyroSamples.empty()
         self._frames: list[Frames] = []
-        self._newest_frame_ns = _NEVER_NS
+        self._newest_frame_ns = NEVER_NS
         self._refused_in_a_row = 0
         self._recent: deque[tuple[int, Array, int]] = deque()
         self._tracker = Tracker(self.filter, self._period_ns)
-        self._notices: list[str] = []
-        self._named: set[object] = set()
+
+    def use(self, options: EstimatorConfig) -> None:
+        """Go on with other gates and process noise, those that may change on the way."""
+        self._scenario = replace(self._scenario, estimator=options)
+        self.filter = self._tracker.filter = Filter(self._scenario, self._covariance)
+        self._patience = options.reacquire_after_frames
 
     # Coming in
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples, in the order in which they arrived."""
-        last = self._gyro.stamp_ns[-1] if len(self._gyro) else _NEVER_NS
         finite = np.isfinite(samples.rate).all(axis=1)
         if not finite.all():
             self._notice('rate', f'gyro reading at {samples.stamp_ns[~finite][0]} ns is not '
                          'finite: dropped')
-        good = GyroSamples(samples.stamp_ns[finite], samples.rate[finite])
-        fresh = _newer(good.stamp_ns, last)
-        if not fresh.all():
-            self._notice('gyro order', f'gyro reading at {good.stamp_ns[~fresh][0]} ns is not '
-                         'newer than the one before: dropped')
-        good = GyroSamples(good.stamp_ns[fresh], good.rate[fresh])
-        self.counts.dropped_messages += len(samples) - len(good)
+        self.counts.dropped_messages += int((~finite).sum())
+        parts = self._gyro_time.add(GyroSamples(samples.stamp_ns[finite], samples.rate[finite]))
+        self._account_dropped('gyro reading', self._gyro_time.take_dropped())
+        self._use_gyro(parts)
+
+    def add_frames(self, frames: Frames) -> None:
+        """Take frames, in the order in which they arrived."""
+        parts = self._frame_time.add(frames)
+        self._account_dropped('frame', self._frame_time.take_dropped())
+        self._use_frames(parts)
+
+    def _use_gyro(self, parts: list[GyroSamples]) -> None:
+        good = GyroSamples.concatenate(parts)
         self.counts.gyro += len(good)
         if not len(good):
             return
-        steps = np.diff(good.stamp_ns, prepend=last if len(self._gyro) else good.stamp_ns[0])
+        before = self._gyro.stamp_ns[-1:] if len(self._gyro) else good.stamp_ns[:1]
+        steps = good.stamp_ns - np.concatenate((before, good.stamp_ns[:-1]))
         silent = steps > GAP * self._period_ns
         self.counts.gyro_gaps += int(silent.sum())
         self.counts.missing_gyro += int(np.rint(steps[silent] / self._period_ns - 1).sum())
@@ -150,28 +177,28 @@ class Stream:
                          f'{good.stamp_ns[silent][0]} ns: bridged')
         self._gyro = GyroSamples.concatenate((self._gyro, good))
 
-    def add_frames(self, frames: Frames) -> None:
-        """Take frames, in the order in which they arrived."""
-        fresh = _newer(frames.stamp_ns, self._newest_frame_ns)
-        self.counts.dropped_messages += int((~fresh).sum())
-        if not fresh.all():
-            self._notice('frame order', f'frame at {frames.stamp_ns[~fresh][0]} ns is not newer '
-                         'than the one before: dropped')
-        stamps = frames.stamp_ns[fresh]
-        if len(stamps):
-            before = stamps[0] if self._newest_frame_ns == _NEVER_NS else self._newest_frame_ns
+    def _use_frames(self, parts: list[Frames]) -> None:
+        for part in parts:
+            stamps = part.stamp_ns
+            before = stamps[0] if self._newest_frame_ns == NEVER_NS else self._newest_frame_ns
             steps = np.rint(np.diff(stamps, prepend=before) / self._frame_period_ns) - 1
             self.counts.missing_frames += int(np.maximum(steps, 0).sum())
             self._newest_frame_ns = int(stamps[-1])
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], fresh, [False])).astype(int)))
-        self._frames += [frames[low:high] for low, high in edges.reshape(-1, 2)]
+        self._frames += parts
+
+    def _account_dropped(self, what: str, dropped: list[Dropped]) -> None:
+        for number, stamp_ns, ahead in dropped:
+            self.counts.dropped_messages += number
+            self._notice((what, ahead), f'{what} at {stamp_ns} ns is ' + (
+                'ahead of those that follow' if ahead else 'not newer than the one before')
+                + ': dropped')
 
     # Going out
 
     @property
     def waiting(self) -> int:
         """Number of frames that wait for a gyro sample to reach them."""
-        return sum(map(len, self._frames))
+        return sum(map(len, chain(self._frames, *self._frame_time.later)))
 
     def take_notices(self) -> list[str]:
         """Return what happened that a user should know, once."""
@@ -186,22 +213,9 @@ class Stream:
         tracked : bool
             Give the attitude at the gyro samples before each frame along with it.
         """
-        if not self._frames:
-            if len(self._gyro):
-                self._forget_gyro_before(int(self._gyro.stamp_ns[-1] - _GYRO_KEPT_S / NS))
-            return
-        frames = Frames.concatenate(self._frames)
-        reached_ns = self._gyro.stamp_ns[-1:].max(initial=_NEVER_NS)
-        ready = int(np.searchsorted(frames.stamp_ns, reached_ns, side='right'))
-        excess = max(0, len(frames) - ready - _FRAMES_KEPT)
-        if excess:
-            self._notice('no gyro', f'{_FRAMES_KEPT} frames wait for the gyro: the oldest are '
-                         'dropped')
-            self.counts.dropped_messages += excess
-        self._frames = [frames[ready + excess:]] if ready + excess < len(frames) else []
-        for low in range(0, ready, _BATCH):
-            high = min(low + _BATCH, ready)
-            yield from self._process(frames[low:high], tracked)
+        yield from self._process_reached(tracked)
+        while self._clock_was_set_back():
+            yield from self._process_reached(tracked)
 
     def track(self) -> Track:
         """Return the attitude at each gyro sample since the last call, from the last update.
@@ -230,12 +244,62 @@ class Stream:
         return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
 
     @property
+    def rate_covariance(self) -> Array:
+        """Covariance of a rate of the track, (3, 3) [rad^2/s^2]: noise of a reading, and bias."""
+        noise = np.eye(3) * (self.filter.walk**2 / (self._period_ns * NS))
+        if self.belief is None:
+            return noise
+        root = self.belief.root[EPSILON] * SCALE[EPSILON, None]
+        return noise + root @ root.T
+
+    @property
     def reprojection_rms_px(self) -> Array:
         """RMS residual of the stars used in the last ten minutes, u and v, (2,) [px]."""
         squares = sum((part for _, part, _ in self._recent), np.zeros(2))
         return np.sqrt(squares / max(sum(count for *_, count in self._recent), 1))
 
     # Inside
+
+    def _clock_was_set_back(self) -> bool:
+        """Settle what became of a clock that was set back, where that can be told by now."""
+        gyro, frames = self._gyro_time, self._frame_time
+        if _one_sided(gyro, frames):
+            self._use_gyro(gyro.rejoin())
+            self._account_dropped('gyro reading', gyro.take_dropped())
+        elif _one_sided(frames, gyro):
+            self._use_frames(frames.rejoin())
+            self._account_dropped('frame', frames.take_dropped())
+        elif gyro.later and frames.later:
+            before_ns, dropped = gyro.end_ns, (
+                self.counts.dropped_messages + sum(map(len, self._frames)))
+            self._begin(self.counts.restarts + 1)
+            self.counts.dropped_messages = dropped
+            self._use_gyro(gyro.begin_next())
+            self._use_frames(frames.begin_next())
+            back_s = (before_ns - int(self._gyro.stamp_ns[0])) * NS
+            self._notices.append(f'stamps went back by {back_s:.3f} s to '
+                                 f'{self._gyro.stamp_ns[0]} ns: started again')
+        else:
+            return False
+        return True
+
+    def _process_reached(self, tracked: bool) -> Iterator[FrameResult]:
+        if not self._frames:
+            if len(self._gyro):
+                self._forget_gyro_before(int(self._gyro.stamp_ns[-1] - _GYRO_KEPT_S / NS))
+            return
+        frames = Frames.concatenate(self._frames)
+        reached_ns = self._gyro.stamp_ns[-1:].max(initial=NEVER_NS)
+        ready = int(np.searchsorted(frames.stamp_ns, reached_ns, side='right'))
+        excess = max(0, len(frames) - ready - _FRAMES_KEPT)
+        if excess:
+            self._notice('no gyro', f'{_FRAMES_KEPT} frames wait for the gyro: the oldest are '
+                         'dropped')
+            self.counts.dropped_messages += excess
+        self._frames = [frames[ready + excess:]] if ready + excess < len(frames) else []
+        for low in range(0, ready, _BATCH):
+            high = min(low + _BATCH, ready)
+            yield from self._process(frames[low:high], tracked)
 
     def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
         stars, _, notices = self._places.of(frames)
@@ -321,7 +385,7 @@ class Stream:
             self._notices.append(text)
 
 
-def _newer(stamps: NDArray[np.int64], last: int) -> NDArray[np.bool_]:
-    """Tell which stamps are larger than all before them and than `last`."""
-    before = np.concatenate(([last], np.maximum.accumulate(stamps)))[:-1]
-    return stamps > np.maximum(before, last)
+def _one_sided(back: Timeline[Any], other: Timeline[Any]) -> bool:
+    """Tell whether a clock was set back and has caught up, while the other topic went on."""
+    overtaken_ns = back.overtaken_ns
+    return overtaken_ns is not None and other.end_ns >= overtaken_ns + _ONE_SIDED_NS

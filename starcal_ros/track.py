@@ -45,20 +45,21 @@ class Track(NamedTuple):
 
 
 class _Reached(NamedTuple):
-    """How far the integration from a frame has come."""
+    """How far the integration from a frame has come, and the root of what the frame left."""
 
     frame_ns: int
     stamp_ns: int
     C_gi: Array
     gap_turn: float
     turn: Array
+    states: Array
 
 
 class Tracker:
     """Integrates from each update onwards, each gyro sample once."""
 
     def __init__(self, filter_: Filter, period_ns: float) -> None:
-        self._filter = filter_
+        self.filter = filter_
         self._period_ns = period_ns
         self._given_ns = np.iinfo(np.int64).min
         self._reached: _Reached | None = None
@@ -80,7 +81,8 @@ class Tracker:
         estimate = belief.estimate
         reached = self._reached
         if reached is None or reached.frame_ns != frame_ns:
-            reached = _Reached(frame_ns, frame_ns, estimate.C_gi, 0.0, np.zeros(3))
+            reached = _Reached(frame_ns, frame_ns, estimate.C_gi, 0.0, np.zeros(3),
+                               belief.whole_root)
         first, last = np.searchsorted(
             gyro.stamp_ns, [max(frame_ns, self._given_ns + 1), until_ns]).tolist()
         samples = gyro[first:last]
@@ -97,16 +99,17 @@ class Tracker:
         gap_turn = reached.gap_turn + np.concatenate(([0.0], np.cumsum(pieces.gap_turn)))
         turns = (pieces.rate - estimate.bias) @ gain.T * pieces.dt[:, None]
         turn = reached.turn + np.concatenate((np.zeros((1, 3)), np.cumsum(turns, axis=0)))
-        self._reached = _Reached(frame_ns, self._given_ns, C_gi[-1], float(gap_turn[-1]), turn[-1])
+        states = reached.states
+        self._reached = _Reached(
+            frame_ns, self._given_ns, C_gi[-1], float(gap_turn[-1]), turn[-1], states)
         rows = np.searchsorted(ends, samples.stamp_ns)
         elapsed = (samples.stamp_ns - frame_ns)[:, None, None] * NS
-        states = belief.whole_root
         root = states[PHI] + elapsed * (estimate.C_gi.T @ states[EPSILON])
         if augmentation.has_matrix(estimate.augmented.shape[-1]):
             by_row = states[MATRIX].reshape(3, 3, -1)
             root = root + estimate.C_gi.T @ np.einsum('kj,ijn->kin', turn[rows], by_row)
-        spread = (self._filter.walk**2 * elapsed + self._filter.density[0]**2 * elapsed**3 / 3.0
-                  + (self._filter.gap_acceleration * gap_turn[rows, None, None])**2)
+        spread = (self.filter.walk**2 * elapsed + self.filter.density[0]**2 * elapsed**3 / 3.0
+                  + (self.filter.gap_acceleration * gap_turn[rows, None, None])**2)
         return Track(samples.stamp_ns, C_gi[rows],
                      root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
                      (samples.rate - estimate.bias) @ gain.T)

@@ -194,11 +194,22 @@ def equivalent_sigma(state_root: Array, intrinsics: Array, pitch_mm: float) -> A
     pitch_mm : float
         Pixel pitch [mm].
     """
+    return np.linalg.norm(equivalent(state_root, intrinsics, pitch_mm), axis=-1)
+
+
+def equivalent(states: Array, intrinsics: Array, pitch_mm: float) -> Array:
+    """Return the equivalent principal point, (..., 2, k) [px], of k errors or columns of a root.
+
+    Parameters
+    ----------
+    states : (..., 16, k) array
+        T18's states, in the filter's units.
+    intrinsics, pitch_mm
+        As for `equivalent_sigma`.
+    """
     scale = (intrinsics[..., camera.INTRINSICS.index('f')] / pitch_mm)[..., None]
-    return np.stack((
-        np.linalg.norm(state_root[..., _U0, :] - scale * state_root[..., _PSI_Y, :], axis=-1),
-        np.linalg.norm(state_root[..., _V0, :] + scale * state_root[..., _PSI_X, :], axis=-1),
-    ), axis=-1)
+    return np.stack((states[..., _U0, :] - scale * states[..., _PSI_Y, :],
+                     states[..., _V0, :] + scale * states[..., _PSI_X, :]), axis=-2)
 
 
 def _correlation(belief: Belief, root: Array) -> Array:

@@ -142,3 +142,10 @@ def test_detector_contains_its_pixels_to_their_outer_edge():
     inside = detector.contains(np.array([[512.0, 384.0], [512.1, 0.0], [0.0, -384.1]]))
     assert inside.tolist() == [True, False, False]
     np.testing.assert_array_equal(detector.centre_raster, [511.5, 383.5])
+
+
+def test_distortion_is_what_the_lens_adds_to_the_pinhole(directions):
+    pinhole = np.concatenate((T18[:3], np.zeros(4)))
+    uv = camera.project(directions, pinhole, PITCH)
+    np.testing.assert_allclose(camera.distortion(uv, T18, PITCH),
+                               camera.project(directions, T18, PITCH) - uv, atol=1e-11)

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import starcal_ros
-from starcal_ros import parameter_file, record
+from starcal_ros import parameter_file, record, restart
+from starcal_ros.archive import Archive
 from starcal_ros.cli import main
 from starcal_ros.record_writer import Writer, centroids_batch, imu_batch
 from starcal_ros.simulation import sensors
@@ -293,6 +294,40 @@ def test_calibrate_writes_the_result_and_says_where_it_came_from(starcal, bag, t
         assert re.search(rf'\b{name}\b', done.out)
     assert 'not converged' in done.out and outcome['converged'] is False        # after 20 s
     assert '40 frames' in done.out and '2000 gyro readings' in done.out
+
+
+def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path):
+    """The second run starts where the first ended, as the node would."""
+    scenario = SCENARIO.replace({'estimator.calibration_directory': str(tmp_path / 'saved'),
+                                 'estimator.load_calibration': True})
+    config = tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(scenario))
+    words = ['calibrate', bag, '--config', config, '--out', tmp_path / 'result.json']
+    first = starcal(*words, '--export', tmp_path / 'export')
+    assert first.status == 0 and 'has no calibration' in first.err
+    assert sorted(path.name for path in (tmp_path / 'export').iterdir()) == [
+        'camchain.yaml', 'camera_info.yaml', 'imu.yaml']
+    outcome = json.loads((tmp_path / 'result.json').read_text())
+    folder = Archive(tmp_path / 'saved').save(restart.files(outcome, scenario))
+    second = starcal(*words)
+    assert second.status == 0 and f'calibration {folder}' in ' '.join(second.err.split())
+    better = json.loads((tmp_path / 'result.json').read_text())
+    assert better['provenance']['began_with'] == str(folder)
+    assert (np.diagonal(better['covariance'])[9:] < np.diagonal(outcome['covariance'])[9:]).all()
+
+
+def test_export_to_a_file_is_wrong_input(starcal, bag, tmp_path):
+    done = starcal('calibrate', bag, '--out', tmp_path / 'result.json', '--export', bag)
+    assert_refused(done, 'calibrate', bag, 'cannot be made')
+
+
+def test_play_hands_its_options_to_the_player(starcal, bag, monkeypatch):
+    commands = []
+    monkeypatch.setattr(subprocess, 'call', lambda command: commands.append(command) or 0)
+    assert starcal('play', bag, '--rate', '3', '--start-offset', '2.5', '--loop').status == 0
+    given = dict(word.split(':=') for word in commands[0] if ':=' in word)
+    assert given == {'player.bag': str(bag), 'player.rate': '3.0',
+                     'player.start_offset_s': '2.5', 'player.loop': 'true'}
 
 
 def test_shipped_scenario_is_the_default(starcal, bag, tmp_path):

@@ -11,10 +11,11 @@ from scipy.stats import chi2
 from starcal_ros import camera, parameter_file, rotation
 from starcal_ros.acquisition import AcquisitionError
 from starcal_ros.estimator import CALIBRATED, EPSILON, UNIT, Filter
-from starcal_ros.evaluation import consistency, montecarlo
+from starcal_ros.evaluation import bounds, consistency, montecarlo
 from starcal_ros.evaluation.batch import run_batch
 from starcal_ros.evaluation.bounds import cramer_rao
 from starcal_ros.measurements import Frames
+from starcal_ros.places import Places
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.stream import Stream
@@ -82,7 +83,7 @@ def test_bound_is_the_inverse_of_the_information_of_the_whole_written_out():
     step = np.concatenate((np.full(9, 1e-7), 1e-3 * filter_.initial_sigma[CALIBRATED]))
     A = np.stack([(model(s) - model(-s)) / 2.0 for s in np.diag(step)], axis=1)
     dense = np.linalg.inv(A.T @ A) * np.outer(step, step)
-    bound = cramer_rao(filter_, truth, frames, u_i)
+    bound, = cramer_rao(filter_, truth, frames, u_i, [3])
     scale = np.sqrt(np.diag(dense)[6:])
     # of the quadrature (C_ig turns by 0.01 deg in a step) and the differences: 1e-5
     np.testing.assert_allclose(bound / np.outer(scale, scale),
@@ -104,10 +105,16 @@ def test_bound_of_a_perfect_gyro_is_the_limit_of_ever_better_ones():
     assert (good >= perfect * (1.0 - 1e-6)).all()
 
 
+def test_bounds_at_several_times_are_those_of_runs_of_these_lengths():
+    both = bounds.after(SCENARIO, [200.0, 550.0])
+    for duration_s, covariance in zip((200.0, 550.0), both):
+        alone = montecarlo.bound(SCENARIO.replace({'simulation.duration_s': duration_s}))
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), alone, rtol=1e-9)
+
+
 def apparent(scenario, frames: Frames):
     """Return the apparent places of the stars of frames."""
-    stream = Stream(scenario)
-    return stream._locate(frames).u_i
+    return Places(scenario).of(frames).stars.u_i
 
 
 # The filter

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.measurements import Frames, GyroSamples, newer
 
 
 def same(a, b):
@@ -88,3 +88,19 @@ def test_nothing_joined_is_empty(kind):
 def test_empty_batches_do_not_show(gyro, frames):
     assert same(GyroSamples.concatenate([GyroSamples.empty(), gyro, GyroSamples.empty()]), gyro)
     assert same(Frames.concatenate([Frames.empty(), frames, Frames.empty()]), frames)
+
+
+def test_frames_are_taken_in_any_order_with_their_stars(frames):
+    taken = frames.take(np.array([4, 1, 0]))
+    assert (taken.stamp_ns // 10**9).tolist() == [4, 1, 0]
+    assert taken.first.tolist() == [0, 1, 1, 4]
+    assert taken.catalog_id.tolist() == [105, 100, 101, 102]
+    assert same(frames.take(np.array([True, False, True, True, False])),
+                Frames.concatenate([frames[:1], frames[2:4]]))
+    assert same(frames.take(np.zeros(5, bool)), Frames.empty())
+
+
+def test_newer_stamps_exceed_all_before_them():
+    stamps = np.array([5, 7, 7, 6, 9, 8, 10])
+    assert newer(stamps, 5).tolist() == [False, True, False, False, True, False, True]
+    assert newer(stamps[:0], 5).tolist() == []

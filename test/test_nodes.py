@@ -15,26 +15,28 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
-from diagnostic_msgs.msg import DiagnosticArray                                 # noqa: E402
-from rcl_interfaces.srv import DescribeParameters                               # noqa: E402
+from rcl_interfaces.srv import DescribeParameters, SetParameters                # noqa: E402
+from rclpy.duration import Duration                                             # noqa: E402
+from rclpy.parameter import Parameter                                           # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile                              # noqa: E402
-from sensor_msgs.msg import Imu, PointCloud2                                    # noqa: E402
-from std_msgs.msg import Float64MultiArray                                      # noqa: E402
+from sensor_msgs.msg import CameraInfo, Imu                                     # noqa: E402
 from std_srvs.srv import SetBool, Trigger                                       # noqa: E402
+import yaml                                                                     # noqa: E402
 
-from starcal_ros import cdr, cdr_cloud, demo, parameter_file, record, ros_conventions  # noqa: E402
-from starcal_ros import rotation                                                # noqa: E402
+from peer import PATIENCE_S, Peer                                               # noqa: E402
+from starcal_ros import config, demo, parameter_file, record                    # noqa: E402
+from starcal_ros import ros_conventions, rotation                               # noqa: E402
 from starcal_ros.bag import open_bag                                            # noqa: E402
 from starcal_ros.calibration import predicted_centroid                          # noqa: E402
 from starcal_ros.measurements import Frames, GyroSamples                        # noqa: E402
 from starcal_ros.record_writer import typestore                                 # noqa: E402
 from starcal_ros.simulation import sensors                                      # noqa: E402
 from starcal_ros.simulation.truth import Truth                                  # noqa: E402
+from starcal_ros.units import DEG_PER_SQRT_HOUR                                 # noqa: E402
 
 DURATION_S = 60.0
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': DURATION_S, 'simulation.real_time_factor': 0.0})
-PATIENCE_S = 30.0
 
 
 @pytest.fixture(scope='module')
@@ -102,7 +104,12 @@ def test_each_gyro_reading_gives_one_attitude_that_agrees_with_the_truth(live, r
     # 5 sigma: 6000 strongly correlated samples of three axes, a few independent ones a minute
     assert (np.abs(phi) < 5.0 * sigma).all()
     assert {m.header.frame_id for m in imus} == {'gyro'}
-    assert {m.linear_acceleration_covariance[0] for m in imus} == {-1.0}        # REP-145
+    # REP-145: what is not measured has -1, what is has a covariance
+    assert {m.linear_acceleration_covariance[0] for m in imus} == {-1.0}
+    rate = np.array([m.angular_velocity_covariance for m in imus]).reshape(-1, 3, 3)
+    reading = (SCENARIO.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR)**2 * SCENARIO.gyro.rate_hz
+    assert (np.linalg.eigvalsh(rate) > reading * (1.0 - 1e-9)).all()
+    assert (np.linalg.eigvalsh(rate[-1]) < reading + 1e-12).all()
 
 
 def test_results_are_the_estimate_in_the_conventions_of_ros(live, offline):
@@ -111,6 +118,12 @@ def test_results_are_the_estimate_in_the_conventions_of_ros(live, offline):
     assert (info.distortion_model, info.header.frame_id) == ('plumb_bob', 'star_tracker_optical')
     np.testing.assert_allclose(ros_conventions.from_camera_info(info.k, info.d, detector),
                                estimate.intrinsics, rtol=1e-9)
+    # What image_geometry and image_proc need: five coefficients, nothing rectified, no region.
+    K, P = np.reshape(info.k, (3, 3)), np.reshape(info.p, (3, 4))
+    np.testing.assert_array_equal(P, np.column_stack((K, np.zeros(3))))
+    np.testing.assert_array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
+    assert (len(info.d), info.width, info.height) == (5, 1024, 1024)
+    assert (info.binning_x, info.binning_y, info.roi.width) == (0, 0, 0)
     q = messages(live, '/starcal/mounting')[-1].pose.pose.orientation
     C_sg = ros_conventions.mounting_from_optical(
         rotation.to_matrix(np.array([q.x, q.y, q.z, q.w])))
@@ -126,28 +139,10 @@ def test_recording_carries_configuration_and_truth(recorded):
                                atol=1e-12)
     carried = parameter_file.parse(recorded.attachments['config.yaml'].decode(), 'attachment')
     assert carried.replace({'recorder.output': 'run.mcap'}) == SCENARIO.replace(
-        {'simulation.wait_for_subscribers': 2})
+        {'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2})
 
 
 # One node at a time
-
-
-@pytest.fixture
-def start(tmp_path):
-    """Return a function that starts a node; what is left of them is killed at the end."""
-    started = []
-
-    def run(name, *words):
-        process = subprocess.Popen(
-            [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args', *words],
-            stderr=subprocess.PIPE, text=True, cwd=tmp_path)
-        started.append(process)
-        return process
-    yield run
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
 
 
 @pytest.fixture
@@ -155,56 +150,8 @@ def parameters(tmp_path):
     """Return the words that give a node the scenario."""
     path = tmp_path / 'scenario.yaml'
     path.write_text(parameter_file.dump(SCENARIO.replace({
-        'estimator.calibration_file': str(tmp_path / 'saved.json')})))
+        'estimator.calibration_directory': str(tmp_path / 'saved')})))
     return '--params-file', str(path)
-
-
-class Peer:
-    """A node of this process that talks to the one under test."""
-
-    def __init__(self):
-        self.node = rclpy.create_node('peer')
-        self.gyro = self.node.create_publisher(Imu, 'imu/data_raw', 5000)
-        self.frames = self.node.create_publisher(PointCloud2, 'star_tracker/centroids', 1000)
-        self.states, self.diagnostics = [], []
-        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(
-            Float64MultiArray, 'starcal/state', self.states.append, latched)
-        self.node.create_subscription(
-            DiagnosticArray, 'diagnostics', self.diagnostics.append, 10)
-
-    def until(self, condition):
-        """Spin until something holds."""
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < deadline, 'waited in vain'
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def meet(self):
-        """Wait until the estimator listens and is heard."""
-        self.until(lambda: all(p.get_subscription_count() for p in (self.gyro, self.frames)))
-        self.until(lambda: self.node.count_publishers('starcal/state') == 1)
-
-    def send(self, gyro, frames):
-        """Publish messages."""
-        for message in cdr.encode_imu(gyro):
-            self.gyro.publish(message.tobytes())
-        for message in cdr_cloud.encode_centroids(frames):
-            self.frames.publish(message)
-
-    def call(self, kind, name, request=None):
-        """Call a service."""
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready)
-        future = client.call_async(request or kind.Request())
-        self.until(future.done)
-        return future.result()
-
-    def status(self):
-        """Return the newest diagnostics."""
-        self.diagnostics.clear()
-        self.until(lambda: self.diagnostics)
-        return self.diagnostics[-1].status[0]
 
 
 @pytest.fixture
@@ -250,7 +197,7 @@ def test_nothing_but_finite_numbers_leaves_the_estimator(start, parameters, peer
               Frames(frames.stamp_ns, frames.first, uv, frames.sigma, frames.magnitude, number))
     peer.until(lambda: len(peer.states) >= 19)
     assert all(np.isfinite(state.data).all() for state in peer.states)
-    values = {item.key: item.value for item in peer.status().values}
+    values = peer.values()
     assert values['dropped_messages'] == '4'
     assert int(values['unusable_stars']) == len(uv[::50]) + 1
     estimator.send_signal(signal.SIGINT)
@@ -260,30 +207,108 @@ def test_nothing_but_finite_numbers_leaves_the_estimator(start, parameters, peer
         assert text in said
 
 
-def test_services_save_reset_and_disable(start, parameters, peer, readings, tmp_path):
-    start('estimator', *parameters)
+def test_calibrations_are_saved_undone_and_begun_with(start, parameters, peer, readings, tmp_path):
+    gyro, frames = readings
+    estimator = start('estimator', *parameters, '-p', 'estimator.load_calibration:=true')
     peer.meet()
-    refused = peer.call(Trigger, 'estimator/save_calibration')
+
+    def call(name):
+        return peer.call(Trigger, f'estimator/{name}')
+
+    refused = call('save_calibration')
     assert not refused.success and 'no attitude from any frame' in refused.message
-    peer.send(*readings)
+    assert 'no saved calibration' in call('undo_save').message
+    peer.send(gyro[:851], frames[:18])
+    peer.until(lambda: len(peer.states) >= 18)
+    for number in (1, 2):
+        assert call('save_calibration').message == f'saved as {tmp_path}/saved/000{number}'
+    assert call('undo_save').message == f'set aside as {tmp_path}/saved/0002.undone'
+    folder = tmp_path / 'saved' / 'latest'
+    saved = json.loads((folder / 'result.json').read_text())
+    assert saved['counts']['frames'] == 18
+    assert saved['provenance']['began_with'] == 'nominal values'
+    assert parameter_file.load(folder / 'config.yaml').sha256 == (
+        saved['provenance']['config_sha256'])
+    camera = yaml.safe_load((folder / 'camera_info.yaml').read_text())
+    assert camera['camera_matrix']['data'][0] == pytest.approx(
+        saved['intrinsics']['f_mm'] / SCENARIO.camera.pixel_pitch_mm)
+    assert call('reset').message == f'started again from {tmp_path}/saved/0001'
+    calibration, inputs = peer.status()
+    assert calibration.message == 'no attitude yet'
+    received = {item.key: item.value for item in inputs.values}['/imu/data_raw messages']
+    assert (inputs.name, received) == ('starcal: inputs', '851')
+    peer.send(gyro[851:], frames[18:])      # two frames, and as good as after eighteen
     peer.until(lambda: len(peer.states) >= 20)
-    assert peer.call(Trigger, 'estimator/save_calibration').success
-    saved = json.loads((tmp_path / 'saved.json').read_text())
-    assert saved['counts']['frames'] == 20
-    assert peer.call(Trigger, 'estimator/reset').success
-    assert peer.status().message == 'no attitude yet'
-    assert peer.call(SetBool, 'estimator/set_enabled', SetBool.Request(data=False)).success
-    assert peer.status().message == 'disabled'
+    values = np.array(peer.states[-1].data)
+    sigma = np.sqrt(values[17:].reshape(16, 16).diagonal())
+    assert (sigma[9:] <= np.sqrt(np.diagonal(saved['covariance']))[9:] * (1.0 + 1e-6)).all()
+    disable = SetBool.Request(data=False)
+    assert peer.call(SetBool, 'estimator/set_enabled', disable).success
+    assert peer.status()[0].message == 'disabled'
+    estimator.send_signal(signal.SIGINT)
+    assert 'has no calibration: beginning with the nominal values' in estimator.communicate(
+        timeout=PATIENCE_S)[1]
 
 
-def test_parameters_are_described_with_unit_and_range_and_are_read_only(start, parameters, peer):
-    start('estimator', *parameters)
-    request = DescribeParameters.Request(names=['camera.focal_length_mm', 'observer.velocity'])
-    f, velocity = peer.call(DescribeParameters, 'estimator/describe_parameters',
-                            request).descriptors
-    assert '[mm]' in f.description and f.read_only
-    assert f.floating_point_range[0].from_value == 0.1
-    assert 'geocentre' in velocity.additional_constraints
+def test_parameters_are_described_and_gates_and_noise_may_change(start, parameters, peer):
+    """And what the middleware can not match is said in words."""
+    estimator = start('estimator', *parameters)
+    own = {name: parameter for name, parameter in config.parameters().items()
+           if name.split('.')[0] in ('autostart', 'camera', 'gyro', 'mounting', 'observer',
+                                     'estimator')}
+    described = peer.call(DescribeParameters, 'estimator/describe_parameters',
+                          DescribeParameters.Request(names=list(own))).descriptors
+    for descriptor, parameter in zip(described, own.values()):
+        assert parameter.spec.text in descriptor.description
+        assert f'[{parameter.spec.unit}]' in descriptor.description or not parameter.spec.unit
+        assert descriptor.read_only != parameter.spec.changeable
+        if parameter.element in (int, float):
+            assert (descriptor.floating_point_range or descriptor.integer_range
+                    or 'each' in descriptor.additional_constraints)
+
+    def change(name, value):
+        request = SetParameters.Request(parameters=[Parameter(name, value=value
+                                                              ).to_parameter_msg()])
+        return peer.call(SetParameters, 'estimator/set_parameters', request).results[0]
+
+    assert change('estimator.gate_probability', 0.99).successful
+    assert change('estimator.process_noise.gyro_bias_deg_h_sqrt_h', 0.1).successful
+    for name, value in (('estimator.gate_probability', 2.0), ('estimator.gate_probability', 1),
+                        ('estimator.gate_probability', float('nan')),
+                        ('camera.focal_length_mm', 25.0), ('estimator.gate', 0.9)):
+        answer = change(name, value)
+        assert not answer.successful and answer.reason
+    peer.listen(Imu, 'starcal/imu', QoSProfile(
+        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    peer.listen(CameraInfo, 'starcal/camera_info', QoSProfile(
+        depth=1, deadline=Duration(seconds=1)))
+    lines = iter(estimator.stderr)
+    assert 'for more than is offered (durability' in next(
+        line for line in lines if '/starcal/imu: a subscriber' in line)
+    assert 'for more than is offered (deadline' in next(
+        line for line in lines if '/starcal/camera_info: a subscriber' in line)
+
+
+def test_example_waits_for_a_calibration_that_may_be_trusted(start, parameters, peer, readings):
+    loose = [word for name, value in (
+        ('gyro_bias_deg_h', 10.0), ('fixed_angles_arcsec', 1e4), ('principal_point_px', 100.0),
+        ('focal_length_mm', 0.15), ('k1', 0.1), ('k2', 0.1), ('p1', 0.1), ('p2', 0.1))
+        for word in ('-p', f'estimator.tolerance.{name}:={value}')]
+    start('estimator', *parameters, *loose)
+    example = subprocess.Popen(
+        [sys.executable, Path(__file__).parents[1] / 'examples' / 'trusted_camera.py'],
+        stdout=subprocess.PIPE, text=True)
+    try:
+        peer.meet()
+        assert example.stdout.readline() == 'no attitude yet\n'
+        peer.send(*readings)
+        lines = example.communicate(timeout=PATIENCE_S)[0].splitlines()
+    finally:
+        example.kill()
+    assert example.returncode == 0 and lines[-4] == 'converged'
+    fx, fy = (float(word) for word in lines[-3].split()[-2:])
+    # 25.6 mm in truth, to within the tolerance
+    assert fx == fy == pytest.approx(25.6 / 0.00645, abs=0.15 / 0.00645)
 
 
 @pytest.mark.parametrize('words, culprit', [

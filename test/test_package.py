@@ -17,7 +17,8 @@ import starcal_ros
 TOP = Path(__file__).parents[1]
 PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'LICENSE',
          'bin', 'resource', 'config', 'launch', 'starcal_ros']
-EXECUTABLES = ['starcal', 'star_tracker_sim', 'gyro_sim', 'estimator', 'recorder', 'player']
+EXECUTABLES = ['starcal', 'star_tracker_sim', 'gyro_sim', 'estimator', 'intrinsics_estimator',
+               'recorder', 'player', 'watch', 'composed']
 LAUNCH_FILES = sorted((TOP / 'launch').glob('*.launch.py'))
 MARKER = 'share/ament_index/resource_index/packages/starcal_ros'
 
@@ -69,7 +70,8 @@ def assert_share_is_complete(prefix: Path) -> None:
     assert (prefix / MARKER).is_file()
     share = prefix / 'share' / 'starcal_ros'
     wanted = {'package.xml', *(f'launch/{path.name}' for path in LAUNCH_FILES),
-              *(f'config/{path.name}' for path in (TOP / 'config').iterdir())}
+              *(str(path.relative_to(TOP)) for path in (TOP / 'config').rglob('*')
+                if path.is_file())}
     found = {str(path.relative_to(share)) for path in share.rglob('*') if path.is_file()}
     made = re.compile(r'hook/|package\.(dsv|ps1|sh|bash|zsh)|launch/__pycache__/')
     assert {name for name in found if not made.match(name)} == wanted

@@ -1,7 +1,8 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The README says what there is: its commands, parameters, files and topics."""
+"""README and documentation say what there is: commands, parameters, files and topics."""
 
+from itertools import pairwise
 from pathlib import Path
 import re
 import shlex
@@ -12,14 +13,17 @@ from starcal_ros import cli, config
 from starcal_ros.parameter import Parameter
 
 TOP = Path(__file__).parents[1]
-README = (TOP / 'README.md').read_text()
-COMMANDS = [line.split('#')[0].strip() for block in re.findall(r'```sh\n(.*?)```', README, re.S)
+PAGES = {str(path.relative_to(TOP)): path.read_text()
+         for path in (TOP / 'README.md', *sorted((TOP / 'docs').rglob('*.md')))}
+COMMANDS = [line.split(' #')[0].strip() for page in PAGES.values()
+            for block in re.findall(r'^ *```sh\n(.*?)```', page, re.S | re.M)
             for line in block.splitlines() if line.strip()]
 
 
 def of(program):
-    """Return the arguments of each command of a program."""
-    return [shlex.split(line)[1:] for line in COMMANDS if line.startswith(program + ' ')]
+    """Return the arguments of each command of a program, each once."""
+    return [shlex.split(line)[1:] for line in dict.fromkeys(COMMANDS)
+            if line.startswith(program + ' ')]
 
 
 @pytest.mark.parametrize('words', of('starcal'), ids=' '.join)
@@ -29,8 +33,8 @@ def test_starcal_takes_the_command(words):
 
 def test_make_has_the_targets():
     makefile = (TOP / 'Makefile').read_text()
-    targets = [words[0] for words in of('make')]
-    assert set(targets) == {'demo', 'test'}
+    targets = {words[0] for words in of('make')}
+    assert {'demo', 'test'} <= targets
     assert all(re.search(rf'^{target}:', makefile, re.M) for target in targets)
 
 
@@ -40,25 +44,35 @@ def test_ros2_run_finds_the_executable_and_its_parameters(words):
     assert package == 'starcal_ros'
     assert f"'{executable}': 'starcal_ros.nodes.{executable}:main'" in (
         TOP / 'setup.py').read_text()
-    for key, value in (word.split(':=') for word in rest if ':=' in word):
-        parameter: Parameter = config.parameters()[key]
-        parameter.convert(key, parameter.element(value))
-    for word in rest:
-        assert not word.endswith('.yaml') or (TOP / word).is_file()
+    for option, word in pairwise(rest):
+        if option == '-p':
+            key, value = word.split(':=')
+            parameter: Parameter = config.parameters()[key]
+            parameter.convert(key, parameter.element(value))
+        assert not word.startswith('config/') or (TOP / word).is_file()
 
 
-def test_ros2_launch_finds_the_file():
-    for _, package, name in (words for words in of('ros2') if words[0] == 'launch'):
-        assert package == 'starcal_ros' and (TOP / 'launch' / name).is_file()
+def test_ros2_launch_finds_the_file_and_its_arguments():
+    for _, package, name, *arguments in (words for words in of('ros2') if words[0] == 'launch'):
+        assert package == 'starcal_ros'
+        text = (TOP / 'launch' / name).read_text()
+        for argument in arguments:
+            assert re.search(rf"DeclareLaunchArgument\(\s*'{argument.split(':=')[0]}'", text)
 
 
-def test_linked_files_exist():
-    for target in re.findall(r'\]\(([^)]+)\)', README):
-        assert (TOP / target).is_file(), target
+@pytest.mark.parametrize('page', PAGES)
+def test_linked_files_exist(page):
+    for target in re.findall(r'\]\(([^)#]+)(?:#[^)]*)?\)', PAGES[page]):
+        assert target.startswith('https://') or (TOP / page).parent.joinpath(target).is_file(), (
+            target)
+
+
+def test_readme_is_one_screen_and_one_figure():
+    text = PAGES['README.md']
+    assert len(text.splitlines()) <= 70 and text.count('![') == 1
 
 
 def test_topic_table_lists_the_topics_of_the_suite():
     topics = pytest.importorskip('starcal_ros.nodes.topics', exc_type=ImportError)
-    table = README.split('## Topics')[1].split('##')[0]
     for topic in topics.TOPICS:
-        assert f'`{topic.name}`' in table or topic.name.endswith('image_raw'), topic.name
+        assert f'`{topic.name}`' in PAGES['docs/topics.md'], topic.name

@@ -9,10 +9,15 @@ import time
 import numpy as np
 import pytest
 
-pytest.importorskip('rclpy')
+rclpy = pytest.importorskip('rclpy')
+
+from rclpy.parameter import Parameter                       # noqa: E402
 
 from starcal_ros import record                              # noqa: E402
+from starcal_ros.bag import open_bag                        # noqa: E402
+from starcal_ros.cdr import encode_imu                      # noqa: E402
 from starcal_ros.measurements import Frames, GyroSamples    # noqa: E402
+from starcal_ros.nodes.recorder import Recorder             # noqa: E402
 from starcal_ros.record_writer import LATCHED, Writer       # noqa: E402
 
 START_NS, N_GYRO, N_FRAMES = 1_782_993_600_000_000_000, 3000, 60
@@ -101,6 +106,23 @@ def test_recorder_records_chosen_topics_of_any_type(bag, tmp_path):
     assert recorder.wait(10) == 0, recorder.stderr.read()
     counts = {topic.topic: topic.count for topic in record.summary(path).topics}
     assert counts == {'/starcal/imu': N_GYRO, '/other': 1}
+
+
+def test_one_wrong_stamp_does_not_spoil_the_log_times_and_a_new_time_is_taken(tmp_path):
+    """Handed to the node's own method, message by message; it takes what rclpy's Node takes."""
+    path, second = tmp_path / 'run.mcap', 10**9
+    stamps = START_NS + second * np.array([0, 1, 10**8, 2, 3, 10**8, 10**8 + 1, 10**8 + 2])
+    rclpy.init()
+    recorder = Recorder(namespace='here', parameter_overrides=[
+        Parameter('recorder.output', value=str(path)),
+        Parameter('recorder.topics', value=['imu/data_raw'])])
+    for message in encode_imu(GyroSamples(stamps, np.zeros((8, 3)))):
+        recorder._take(recorder._channels['/here/imu/data_raw'], [message.tobytes()])
+    recorder.close()
+    recorder.destroy_node()
+    rclpy.shutdown()
+    log_times = open_bag(path).log_times('/here/imu/data_raw')
+    assert ((log_times - START_NS) // second).tolist() == [0, 1, 1, 2, 3, 3, 10**8 + 1, 10**8 + 2]
 
 
 def test_recorder_refuses_to_overwrite(bag):

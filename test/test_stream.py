@@ -328,6 +328,103 @@ def test_nothing_at_all_raises_nothing():
     assert not stream.tracking
 
 
+# Wrong stamps, and clocks that are set back
+
+
+def stamped(gyro, rows, stamp_ns):
+    """Return gyro samples of which some have another stamp."""
+    stamps = gyro.stamp_ns.copy()
+    stamps[rows] = stamp_ns
+    return GyroSamples(stamps, gyro.rate)
+
+
+@pytest.mark.parametrize('row', [0, 4000, 8999])
+@pytest.mark.parametrize('stamp_ns', [START_NS + 120 * SECOND_NS, 2 * 10**18])
+def test_one_wrong_stamp_of_the_gyro_costs_that_reading(run, row, stamp_ns):
+    stream, results = calibrated(stamped(run.gyro, row, stamp_ns), run.frames)
+    rest = [part for part in (run.gyro[:row], run.gyro[row + 1:]) if len(part)]
+    expected, expected_results = calibrated(GyroSamples.concatenate(rest), run.frames)
+    assert_same(results, expected_results)
+    assert stream.counts == replace(expected.counts, dropped_messages=int(row < 8999))
+    assert stream.counts.restarts == 0
+
+
+@pytest.mark.parametrize('row', [0, 100, 179])
+@pytest.mark.parametrize('stamp_ns', [START_NS + 120 * SECOND_NS, 2 * 10**18])
+def test_one_wrong_stamp_of_a_frame_costs_that_frame(run, row, stamp_ns):
+    stamps = run.frames.stamp_ns.copy()
+    stamps[row] = stamp_ns
+    stream, results = calibrated(run.gyro, replace(run.frames, stamp_ns=stamps))
+    _, expected = calibrated(run.gyro, Frames.concatenate((run.frames[:row],
+                                                           run.frames[row + 1:])))
+    assert_same(results, expected)
+    assert (stream.counts.dropped_messages, stream.counts.restarts) == (int(row < 179), 0)
+
+
+def again(run, count):
+    """Return all messages, several times."""
+    return GyroSamples.concatenate([run.gyro] * count), Frames.concatenate([run.frames] * count)
+
+
+def test_recording_that_is_played_again_starts_the_estimates_again(run, at_once):
+    stream, results = calibrated(*again(run, 3))
+    assert len(results) == 3 * 180
+    for low in range(0, 540, 180):
+        assert_same(results[low:low + 180], at_once[1])
+    assert stream.counts == replace(at_once[0].counts, restarts=2)
+    notices = stream.take_notices()
+    assert len(notices) == 2
+    assert f'went back by 89.990 s to {run.gyro.stamp_ns[0]} ns' in notices[0]
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_restarts_do_not_depend_on_how_messages_are_cut_and_interleaved(run, at_once, seed):
+    rng, stream, results = np.random.default_rng(seed), Stream(SCENARIO), []
+    gyro, frames = again(run, 2)
+    while len(gyro) or len(frames):
+        if rng.random() < 0.5:
+            n = int(rng.integers(0, 1500))
+            stream.add_gyro(gyro[:n])
+            gyro = gyro[n:]
+        else:
+            n = int(rng.integers(0, 30))
+            stream.add_frames(frames[:n])
+            frames = frames[n:]
+        results += stream.process()
+    assert_same(results, at_once[1] * 2)
+    assert stream.counts == replace(at_once[0].counts, restarts=1)
+
+
+def test_clock_that_is_set_back_before_its_time_starts_the_estimates_again(run, at_once):
+    """The player is started anew after 60 s, and then passes these."""
+    gyro = GyroSamples.concatenate((run.gyro[:6000], run.gyro))
+    stream, results = calibrated(gyro, Frames.concatenate((run.frames[:119], run.frames)))
+    assert_same(results[:119], at_once[1][:119])
+    assert_same(results[119:], at_once[1])
+    assert stream.counts.restarts == 1
+
+
+@pytest.mark.parametrize('topic', ['gyro', 'frames'])
+def test_clock_of_one_topic_that_is_wrong_for_a_while_costs_that_while(run, topic):
+    """Its computer starts again, in 1970 until it has the time; the other goes on."""
+    gyro, stamps = run.gyro, run.frames.stamp_ns.copy()
+    if topic == 'gyro':
+        rows = slice(3000, 4000)
+        gyro = stamped(gyro, rows, gyro.stamp_ns[rows] - START_NS)
+        expected = calibrated(without(run.gyro, (30.0, 40.0)), run.frames)[1]
+    else:
+        stamps[60:80] -= START_NS
+        expected = calibrated(run.gyro, Frames.concatenate((run.frames[:60], run.frames[80:])))[1]
+    frames, stream, results = replace(run.frames, stamp_ns=stamps), Stream(SCENARIO), []
+    for k in range(9):
+        stream.add_gyro(gyro[1000 * k:1000 * (k + 1)])
+        stream.add_frames(frames[20 * k:20 * (k + 1)])
+        results += stream.process()
+    assert_same(results, expected)
+    assert stream.counts.restarts == 0
+    assert stream.counts.dropped_messages == (1000 if topic == 'gyro' else 20)
+
+
 # Missing messages
 
 
@@ -361,10 +458,11 @@ def test_attitude_is_less_certain_after_a_silence_by_what_may_hide_in_it(run, le
     stream = Stream(SCENARIO)
     silent = without(run.gyro, (low, low + length))
     until = START_NS + round((low + length) * 1e9) + 10**7     # the first sample after it
-    feed(stream, silent[:np.searchsorted(silent.stamp_ns, until) + 1], run.frames[:81])
+    # and one more, with which the leap of the stamps is believed
+    feed(stream, silent[:np.searchsorted(silent.stamp_ns, until) + 2], run.frames[:81])
     before = stream.belief.sigma[PHI]
     track = stream.track()
-    after = np.sqrt(np.diagonal(track.covariance[-1]))
+    after = np.sqrt(np.diagonal(track.covariance[-2]))
     hidden = 0.5 * length**2 * DEG
     # added to what was known before and to the random walk, arcseconds
     assert (after > hidden).all()
@@ -499,9 +597,11 @@ def test_track_takes_the_bias_off_the_rates(run):
 
 
 def test_track_is_as_uncertain_as_the_filter_would_be_at_its_end(run):
-    """29 s at rest without a frame, the bias known to 100 deg/h: 2900 arcsec, most of it all."""
+    """29 s at rest after one frame, the bias known to 100 deg/h: 2900 arcsec, most of it all."""
     scenario = SCENARIO.replace({'estimator.initial_sigma.gyro_bias_deg_h': 100.0})
-    stream, _ = calibrated(run.gyro[:2900], run.frames[:1], scenario)
+    one = run.frames[:1]            # believed when another, empty one follows
+    frames = replace(one, stamp_ns=run.frames.stamp_ns[:2], first=one.first[[0, 1, 1]])
+    stream, _ = calibrated(run.gyro[:2900], frames, scenario)
     track = stream.track()
     interval = preintegration.preintegrate(
         run.gyro[:2900], np.array([stream.stamp_ns, run.gyro.stamp_ns[2899]]),
@@ -570,7 +670,7 @@ def test_used_messages_are_forgotten(run, at_once):
 
 def test_track_costs_no_more_when_no_frame_has_come_for_long(run):
     """The samples of one call, not all since the last frame: a tenth of an hour of them."""
-    stream, _ = calibrated(run.gyro[:100], run.frames[:1])
+    stream, _ = calibrated(run.gyro[:100], run.frames[:2])
 
     def cost(first, count):
         stamps = START_NS + np.arange(first, first + count) * 10**7

@@ -3,6 +3,7 @@
 """The verdict: sigmas against tolerances, couplings, and the motion that is missing."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -239,11 +240,23 @@ def test_axis_recommended_is_the_one_that_lowers_the_sigmas_most(run, ahead):
 
 def test_diagnostics_say_what_the_verdict_says(run):
     diagnostics = pytest.importorskip('starcal_ros.nodes.diagnostics', exc_type=ImportError)
-    from builtin_interfaces.msg import Time
+    from rclpy.clock import Clock
     verdicts, stream = run
-    status, = diagnostics.diagnostics(stream, Time(), True).status
+    node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
+    status, *_ = diagnostics.Diagnostics(node, []).message(stream, True).status
     values = {item.key: item.value for item in status.values}
     assert status.message == 'converged' and values['not_told_apart'] == 'none'
     assert values['correlation_u0_psi_y'] == f'{verdicts["end"].u0_psi_y:.4f}'
     assert values['sigma_u0'].endswith('px, tolerance 0.1')
     assert set(values) >= {f'sigma_{name}' for name in STATE_NAMES}
+
+
+def test_equivalent_principal_point_is_what_is_left_of_u0_and_psi_y():
+    """Eq. (V.1): a pixel of u0 is made up for by d / f of Psi_y, one of v0 by -d / f of Psi_x."""
+    error = np.zeros((N_STATES, 3))
+    error[[INDEX['u0'], INDEX['v0']], 0] = 1.0
+    error[INDEX['u0'], 1], error[INDEX['psi_y'], 1] = 1.0, 1.0 / PIXELS_A_RADIAN
+    error[INDEX['v0'], 2], error[INDEX['psi_x'], 2] = 1.0, -1.0 / PIXELS_A_RADIAN
+    lens, pitch_mm = FILTER.start.intrinsics, FILTER.detector.pitch_mm
+    np.testing.assert_allclose(verdict.equivalent(error, lens, pitch_mm),
+                               [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], atol=1e-12)

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration methods, one a file; the file's name is the value of ``--method``.
 
-Each module has ``start(scenario)``, which returns a `camera_estimate.CameraMethod`: gyro samples
-and frames go in, a camera with its covariance comes out. What all methods must do is tested in
-``test/test_methods.py``, which finds them here.
+Each module has ``start(scenario, known=None)``, which returns a `camera_estimate.CameraMethod`:
+gyro samples and frames go in, a camera with its covariance comes out. It begins at the nominal
+camera with the initial sigmas, or at what is known from other frames. What all methods must do is
+tested in ``test/test_methods.py``, which finds them here.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 from importlib import import_module
 import pkgutil
 
-from starcal_ros.camera_estimate import CameraMethod
+from starcal_ros.camera_estimate import CameraEstimate, CameraMethod
 from starcal_ros.config import Scenario
 from starcal_ros.parameter import ConfigError
 
@@ -22,8 +23,14 @@ def names() -> list[str]:
     return sorted(module.name for module in pkgutil.iter_modules(__path__))
 
 
-def start(scenario: Scenario) -> CameraMethod:
+def start(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMethod:
     """Begin a calibration by the method ``intrinsics.method``.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    known : CameraEstimate, optional
+        In place of the nominal camera and its initial sigmas, from other frames.
 
     Raises
     ------
@@ -33,5 +40,6 @@ def start(scenario: Scenario) -> CameraMethod:
     method = scenario.intrinsics.method
     if method not in names():
         raise ConfigError(f'intrinsics.method: got {method!r}, allowed are {", ".join(names())}')
-    begun: CameraMethod = import_module(f'{__name__}.{method}').start(scenario)
+    begun: CameraMethod = import_module(f'{__name__}.{method}').start(
+        scenario, known)
     return begun

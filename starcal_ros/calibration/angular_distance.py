@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.attitude_free import AttitudeFree
+from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
 from starcal_ros.invariants import (Frame, Information, direction_slopes, directions,
                                     information)
@@ -42,10 +43,10 @@ Array = NDArray[np.float64]
 MIN_STARS = 2
 
 
-def start(scenario: Scenario) -> AttitudeFree:
+def start(scenario: Scenario, known: CameraEstimate | None = None) -> AttitudeFree:
     """Begin a calibration with the scenario's ``intrinsics.weighting``."""
     weighting = {'full': full, 'diagonal': diagonal}[scenario.intrinsics.weighting]
-    return AttitudeFree(scenario, weighting, MIN_STARS)
+    return AttitudeFree(scenario, weighting, MIN_STARS, known)
 
 
 def cosines(w: Array) -> Array:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.camera_estimate import CameraEstimate
+from starcal_ros.camera_estimate import CameraEstimate, with_camera
 from starcal_ros.config import Scenario
-from starcal_ros.estimator import LENS, N_STATES
+from starcal_ros.estimator import CALIBRATED, LENS, N_STATES, Filter
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.stream import Stream
 from starcal_ros.verdict import equivalent_sigma
@@ -82,7 +82,8 @@ class History:
 
 
 def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
-              on_progress: Callable[[float], None] | None = None) -> tuple[Stream, History]:
+              on_progress: Callable[[float], None] | None = None,
+              covariance: Array | None = None) -> tuple[Stream, History]:
     """Calibrate from all the messages of a recording.
 
     Parameters
@@ -93,6 +94,8 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         Nominal values and estimator options.
     on_progress : callable, optional
         Called now and then with the part done, 0 to 1.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         After the last frame that the gyro reached.
     history : History
     """
-    stream = Stream(scenario)
+    stream = Stream(scenario, covariance)
     stream.add_gyro(gyro)
     stream.add_frames(frames)
     n = stream.waiting
@@ -142,9 +145,19 @@ def _sigma(frames: Frames, stamp_ns: NDArray[np.int64], scenario: Scenario) -> A
     return np.where(sigma == 0.0, scenario.star_tracker.centroid_sigma_px, sigma)
 
 
-def start(scenario: Scenario) -> PredictedCentroid:
+def start(scenario: Scenario, known: CameraEstimate | None = None) -> PredictedCentroid:
     """Begin a calibration of which only the camera is asked for."""
-    return PredictedCentroid(scenario)
+    return PredictedCentroid(scenario, known)
+
+
+def begin(scenario: Scenario, known: CameraEstimate | None = None) -> Stream:
+    """Return a stream that has seen nothing, at what is known of the camera from other frames."""
+    if known is None:
+        return Stream(scenario)
+    covariance = np.diag(Filter(scenario).initial_sigma[CALIBRATED]**2)
+    lens = slice(LENS.start - CALIBRATED.start, None)
+    covariance[lens, lens] = known.covariance
+    return Stream(with_camera(scenario, known.intrinsics), covariance)
 
 
 class PredictedCentroid:
@@ -154,10 +167,12 @@ class PredictedCentroid:
     ----------
     scenario : Scenario
         Nominal values and estimator options; all seven intrinsics are estimated.
+    known : CameraEstimate, optional
+        In place of the nominal camera, from other frames.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._stream = Stream(scenario)
+    def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
+        self._stream = begin(scenario, known)
         self.add_gyro = self._stream.add_gyro
         self.add_frames = self._stream.add_frames
         self.take_notices = self._stream.take_notices

@@ -48,6 +48,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.attitude_free import AttitudeFree
+from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
 from starcal_ros.invariants import Frame, Information, direction_slopes, directions
 from starcal_ros.parameter import ConfigError
@@ -61,7 +62,7 @@ _LEAST = 1e-12          # singular value below which it is zero
 _ITSELF = np.diag([np.inf] * 3)
 
 
-def start(scenario: Scenario) -> AttitudeFree:
+def start(scenario: Scenario, known: CameraEstimate | None = None) -> AttitudeFree:
     """Begin a calibration with the scenario's model, singular values and weighting.
 
     Raises
@@ -76,7 +77,7 @@ def start(scenario: Scenario) -> AttitudeFree:
                           '1, 2, 3, and each once')
     return AttitudeFree(scenario, partial(
         measure, model=options.combination_model, chosen=chosen,
-        full=options.weighting == 'full'), MIN_STARS)
+        full=options.weighting == 'full'), MIN_STARS, known)
 
 
 @cache

@@ -19,7 +19,8 @@ from starcal_ros.cli.terminal import say
 from starcal_ros.demo import NodeError
 from starcal_ros.parameter import ConfigError
 
-COMMANDS = ('demo', 'simulate', 'calibrate', 'montecarlo', 'reproduce', 'play', 'info')
+COMMANDS = ('demo', 'simulate', 'calibrate', 'intrinsics', 'bootstrap', 'montecarlo', 'reproduce',
+            'play', 'watch', 'info')
 """In the order in which the usage lists them."""
 
 

@@ -55,3 +55,11 @@ def require_writable(path: Path) -> None:
         raise ConfigError(f'{path}: cannot be written: {error.strerror}') from None
     if not existed:
         path.unlink()
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder to write to, before the work."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be made: {error.strerror}') from None

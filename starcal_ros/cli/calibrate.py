@@ -9,7 +9,6 @@ from collections.abc import Iterator
 import json
 from pathlib import Path
 
-import starcal_ros
 from starcal_ros import parameter_file
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
@@ -33,41 +32,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--figure', metavar='PNG', help='draw the convergence of the estimates')
     parser.add_argument('--report', metavar='HTML',
                         help='write the report: verdict, states, charts, on one page')
+    parser.add_argument('--export', metavar='FOLDER',
+                        help='write the calibration for other programs: camera_info.yaml, and '
+                        'camchain.yaml and imu.yaml as Kalibr has them')
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     calibrate_recording(options.bag, arguments.scenario(options), Path(options.out),
                         Path(options.figure) if options.figure else None,
-                        Path(options.report) if options.report else None)
+                        Path(options.report) if options.report else None,
+                        Path(options.export) if options.export else None)
     return 0
 
 
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
-                        page: Path | None) -> Stream:
+                        page: Path | None, folder: Path | None = None) -> Stream:
     """Calibrate a recording, write the result, print its table and return the final state."""
-    from starcal_ros import record, report, result, verdict
+    from starcal_ros import export, record, report, restart, result, verdict
+    from starcal_ros.archive import Archive
     from starcal_ros.calibration import predicted_centroid
 
     for path in (out, figure, page):
         if path is not None:
             arguments.require_writable(path)
+    if folder is not None:
+        arguments.make_folder(folder)
     with progress('reading') as on_progress:
         recording = record.read(bag, on_progress)
     contradictions = list(_contradictions(
         recording.attachments.get(record.CONFIG_ATTACHMENT), scenario))
     for text in contradictions:
         say(f'warning: {text}')
+    start = restart.start(scenario, Archive(Path(scenario.estimator.calibration_directory)))
     with progress('calibrating') as on_progress:
         stream, history = predicted_centroid.calibrate(
-            recording.gyro, recording.frames, scenario, on_progress)
-    notices = [*recording.warnings, *stream.take_notices()]
+            recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
+    notices = [*recording.warnings, *start.notices, *stream.take_notices()]
     for text in notices:
         say(f'warning: {text}')
-    outcome = result.result(stream, {
-        'version': starcal_ros.__version__, 'config_sha256': scenario.sha256,
-        'bag': str(bag), 'bag_sha256': recording.sha256})
+    outcome = result.result(stream, {**result.provenance(scenario, recording),
+                                     'began_with': start.source or 'nominal values'})
     result.write_json(out, outcome)
+    if folder is not None:
+        for name, content in export.files(outcome, scenario).items():
+            (folder / name).write_text(content, encoding='utf-8')
     attached = recording.attachments.get(record.TRUTH_ATTACHMENT)
     truth = json.loads(attached) if attached else None
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))

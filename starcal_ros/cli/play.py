@@ -10,7 +10,8 @@ import subprocess
 from starcal_ros.cli import arguments
 
 SUMMARY = 'publish a recording again over ROS 2'
-DESCRIPTION = 'Publish the sensor topics of a recording, as the node `player` does.'
+DESCRIPTION = ('Publish the sensor topics of a recording and /clock, as the node `player` does. '
+               'Its services ~/pause and ~/resume stop it for a while.')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,10 +20,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--rate', metavar='N', type=float, default=1.0,
                         help='recorded seconds a second; 0 is as fast as the subscribers take it '
                         '(default: %(default)s)')
+    parser.add_argument('--start-offset', metavar='S', type=float, default=0.0,
+                        help='seconds to leave out at the beginning (default: %(default)s)')
+    parser.add_argument('--loop', action='store_true', help='begin again at the end')
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.demo import node_command
     return subprocess.call(node_command('player', {
-        'player.bag': str(options.bag), 'player.rate': options.rate}))
+        'player.bag': str(options.bag), 'player.rate': options.rate,
+        'player.start_offset_s': options.start_offset, 'player.loop': options.loop}))

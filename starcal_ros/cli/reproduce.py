@@ -9,9 +9,12 @@ import json
 from pathlib import Path
 import shutil
 
+from starcal_ros import __version__
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import progress, show
+from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.config import Scenario
 from starcal_ros.evaluation import published
+from starcal_ros.parameter import ConfigError
 
 SUMMARY = "compare with a paper's table or figure"
 DESCRIPTION = ('Run what a table or figure of a paper was made from, and put its numbers beside '
@@ -31,6 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         '(default: %(default)s)')
 
 
+def _provenance(name: str, options: argparse.Namespace, scenario: Scenario) -> dict[str, str]:
+    """Return where the numbers of one name come from."""
+    given = {'--config': options.config, '--duration': options.duration,
+             '--runs': options.runs or published.load(name).RUNS}
+    words = [f'{key} {value}' for key, value in given.items() if value is not None]
+    return {'command': ' '.join(['starcal reproduce', name, *words]), 'version': __version__,
+            'config_sha256': scenario.sha256}
+
+
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     scenario = arguments.scenario(options, duration_s=options.duration)
@@ -40,9 +52,14 @@ def run(options: argparse.Namespace) -> int:
     outcomes = {}
     for name in published.names() if options.name == 'all' else [options.name]:
         study = published.load(name)
-        with progress(name) as on_progress:
-            outcomes[name] = study.reproduce(
-                scenario, options.runs or study.RUNS, parts, on_progress)
+        try:
+            with progress(name) as on_progress:
+                outcomes[name] = study.reproduce(
+                    scenario, options.runs or study.RUNS, parts, on_progress)
+        except ConfigError as error:        # data that are no part of this package are not there
+            if options.name != 'all':
+                raise
+            say(f'{name} is left out: {error}')
     from starcal_ros import report
     for name, outcome in outcomes.items():
         show(report.published(outcome))
@@ -50,7 +67,8 @@ def run(options: argparse.Namespace) -> int:
             figure = out.with_name(f'{name}.png')
             report.draw(outcome, figure)
             show(f'Figure: {figure}')
-    out.write_text(json.dumps({name: outcome.as_dict() for name, outcome in outcomes.items()},
-                              indent=1, allow_nan=False) + '\n', encoding='utf-8')
+    results = {name: {**outcome.as_dict(), 'provenance': _provenance(name, options, scenario)}
+               for name, outcome in outcomes.items()}
+    out.write_text(json.dumps(results, indent=1, allow_nan=False) + '\n', encoding='utf-8')
     shutil.rmtree(parts, ignore_errors=True)
     return 0

@@ -9,8 +9,9 @@ matter of single streams, is left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +19,20 @@ from numpy.typing import NDArray
 from starcal_ros import catalog, rotation, sky
 from starcal_ros.acquisition import acquire
 from starcal_ros.config import Scenario
-from starcal_ros.estimator import PHI, Belief, Filter, Nominal
+from starcal_ros.estimator import PHI, Belief, Filter, Nominal, Update
 from starcal_ros.measurements import Frames, GyroSamples, Stars
+from starcal_ros.places import SIGMA_PX
 from starcal_ros.preintegration import Preintegrated, preintegrate
 from starcal_ros.scenario import observer
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.places import SIGMA_PX
 from starcal_ros.stream import REPROJECTION_S
 from starcal_ros.units import NS
 
 Array = NDArray[np.float64]
 
-RECORD_S = 60.0         # between the errors that are kept
+RECORD_S = 60.0         # between the errors that are kept, at most a twentieth of the run
 _CHUNK = 500            # frames simulated at once
 
 
@@ -76,6 +77,33 @@ class Runs:
                      for field in fields(cls)))
 
 
+class Step(NamedTuple):
+    """One frame of all runs of a batch.
+
+    Attributes
+    ----------
+    number : int
+        Of the frame, from 0.
+    stamp_ns : int
+        Its stamp.
+    gyro : Preintegrated or None
+        Since the frame before, for the bias ``Filter.start.bias``; None at the first frame.
+    stars : Stars
+        The frame.
+    predicted : Belief
+        Before the frame.
+    update : Update
+        What the frame did.
+    """
+
+    number: int
+    stamp_ns: int
+    gyro: Preintegrated | None
+    stars: Stars
+    predicted: Belief
+    update: Update
+
+
 def run_batch(scenario: Scenario, seeds: Sequence[int],
               on_progress: Callable[[float], None] = lambda part: None) -> Runs:
     """Simulate and estimate one scenario with several seeds.
@@ -89,12 +117,20 @@ def run_batch(scenario: Scenario, seeds: Sequence[int],
     on_progress : callable
         Called with the part done, 0 to 1.
     """
+    tally = _Tally(seeds, Truth.from_scenario(scenario), frame_count(scenario),
+                   scenario.star_tracker.rate_hz)
+    for step in follow(scenario, seeds, on_progress):
+        tally.add(step)
+    return tally.runs()
+
+
+def follow(scenario: Scenario, seeds: Sequence[int],
+           on_progress: Callable[[float], None] = lambda part: None) -> Iterator[Step]:
+    """Simulate and estimate as `run_batch` does, and give what each frame does."""
     runs = [scenario.replace({'simulation.seed': int(seed)}) for seed in seeds]
     trackers = [sensors.star_tracker(run) for run in runs]
     gyros = [_Gyro(sensors.gyro(run)) for run in runs]
     filter_ = Filter(scenario)
-    tally = _Tally(seeds, Truth.from_scenario(scenario), trackers[0].count,
-                   scenario.star_tracker.rate_hz)
     belief: Belief | None = None
     cut_ns: list[int] = []
     for done in range(0, trackers[0].count, _CHUNK):
@@ -106,16 +142,39 @@ def run_batch(scenario: Scenario, seeds: Sequence[int],
             *(g.preintegrate(cuts, filter_, scenario.gyro.rate_hz) for g in gyros))))
         cut_ns = [int(stamps[-1])]
         for k, stamp_ns in enumerate(stamps.tolist()):
-            frame = Stars(*(part[:, k, :counts[k]] for part in stars))
+            frame, turned = Stars(*(part[:, k, :counts[k]] for part in stars)), None
             if belief is None:
                 belief, frame = _acquired(filter_, frame)
             else:
-                belief = filter_.propagate(belief, Preintegrated(*(part[k] for part in gyro)))
+                turned = Preintegrated(*(part[k] for part in gyro))
+                belief = filter_.propagate(belief, turned)
             update = filter_.update(belief, frame)
+            yield Step(done + k, stamp_ns, turned, frame, belief, update)
             belief = update.belief
-            tally.add(done + k, stamp_ns, belief, update.nis, update.accepted, update.residual)
         on_progress(min(1.0, (done + _CHUNK) / trackers[0].count))
-    return tally.runs()
+
+
+def frame_count(scenario: Scenario) -> int:
+    """Return how many frames a run has."""
+    return sensors.star_tracker(scenario).count
+
+
+def nominal(truth: Truth, stamp_ns: int) -> Nominal:
+    """Return the true values at a stamp."""
+    C_gi = truth.motion.attitude(np.array([stamp_ns]))[0].T
+    return Nominal(C_gi, truth.bias, truth.C_sg, truth.intrinsics)
+
+
+def attitude_error(C_gi: Array, true: Nominal) -> Array:
+    """Return phi, (..., 3), of attitudes (..., 3, 3) [rad], T18 Eq. 7."""
+    return rotation.log(true.C_gi.T @ C_gi)
+
+
+def state_error(estimate: Nominal, true: Nominal) -> Array:
+    """Return the errors of T18's states, (..., 16), in the filter's units."""
+    error = estimate.minus(true)
+    error[..., PHI] = attitude_error(estimate.C_gi, true)
+    return error
 
 
 class _Gyro:
@@ -179,7 +238,7 @@ class _Tally:
 
     def __init__(self, seeds: Sequence[int], truth: Truth, frames: int, rate_hz: float) -> None:
         self._seeds, self._truth, self._frames = seeds, truth, frames
-        self._every = max(1, round(RECORD_S * rate_hz))
+        self._every = max(1, min(round(RECORD_S * rate_hz), frames // 20))
         self._last_minutes = frames - round(REPROJECTION_S * rate_hz)
         n = len(seeds)
         self._time: list[float] = []
@@ -189,27 +248,27 @@ class _Tally:
         self._nis, self._degrees = np.zeros(n), np.zeros(n)
         self._phi, self._squares, self._used = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n)
 
-    def add(self, index: int, stamp_ns: int, belief: Belief, nis: Array,
-            accepted: NDArray[np.bool_], residual: Array) -> None:
+    def add(self, step: Step) -> None:
         """Take what one frame gave."""
-        self._nis += nis
-        self._degrees += 2.0 * accepted.sum(axis=-1)
-        if index >= self._last_minutes:
-            self._squares += np.sum(np.where(accepted[..., None], residual, 0.0)**2, axis=-2)
-            self._used += accepted.sum(axis=-1)
-        second_half, kept = 2 * index >= self._frames, (index + 1) % self._every == 0
-        if not (second_half or kept or index + 1 == self._frames):
+        update, number = step.update, step.number
+        self._nis += update.nis
+        self._degrees += 2.0 * update.accepted.sum(axis=-1)
+        if number >= self._last_minutes:
+            residual = np.where(update.accepted[..., None], update.residual, 0.0)
+            self._squares += np.sum(residual**2, axis=-2)
+            self._used += update.accepted.sum(axis=-1)
+        second_half, kept = 2 * number >= self._frames, (number + 1) % self._every == 0
+        if not (second_half or kept or number + 1 == self._frames):
             return
-        truth, estimate = self._nominal(stamp_ns), belief.estimate
-        phi = rotation.log(truth.C_gi.T @ estimate.C_gi)                # T18 Eq. 7
-        self._phi += phi**2 if second_half else 0.0
-        if kept or index + 1 == self._frames:
-            error = estimate.minus(truth)
-            error[..., PHI] = phi
-            self._time.append((stamp_ns - self._truth.motion.start_ns) * NS)
-            self._error.append(error)
+        belief, true = update.belief, nominal(self._truth, step.stamp_ns)
+        estimate = belief.estimate
+        if second_half:
+            self._phi += attitude_error(estimate.C_gi, true)**2
+        if kept or number + 1 == self._frames:
+            self._time.append((step.stamp_ns - self._truth.motion.start_ns) * NS)
+            self._error.append(state_error(estimate, true))
             self._sigma.append(belief.sigma)
-            self._nees.append(belief.nees(truth))
+            self._nees.append(belief.nees(true))
 
     def runs(self) -> Runs:
         """Return it all."""
@@ -220,8 +279,3 @@ class _Tally:
                     np.stack(self._nees, axis=1), self._nis, self._degrees,
                     np.sqrt(self._phi / max(half, 1)),
                     np.sqrt(self._squares / np.maximum(self._used, 1.0)[:, None]))
-
-    def _nominal(self, stamp_ns: int) -> Nominal:
-        truth = self._truth
-        C_gi = truth.motion.attitude(np.array([stamp_ns]))[0].T
-        return Nominal(C_gi, truth.bias, truth.C_sg, truth.intrinsics)

@@ -20,16 +20,12 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import catalog, parameter_file, sky
+from starcal_ros import parameter_file
 from starcal_ros.config import Scenario, parameters
-from starcal_ros.estimator import N_STATES, STATE_NAMES, STATE_UNITS, UNIT, Filter
-from starcal_ros.evaluation import consistency
+from starcal_ros.estimator import N_STATES, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.evaluation import bounds, consistency
 from starcal_ros.evaluation.batch import Runs, run_batch
-from starcal_ros.evaluation.bounds import cramer_rao
 from starcal_ros.parameter import ConfigError
-from starcal_ros.scenario import observer
-from starcal_ros.simulation import sensors
-from starcal_ros.simulation.truth import Truth
 
 Array = NDArray[np.float64]
 
@@ -124,21 +120,46 @@ def run(study: Study, parts: Path, jobs: int = -1, backend: str = 'loky',
     tasks = [(study.at(value), seeds) for value in study.values for seeds in study.seeds()]
     names = [parts / f'{scenario.replace({"simulation.seed": 0}).sha256[:16]}'
              f'_{seeds[0]}_{len(seeds)}.npz' for scenario, seeds in tasks]
-    missing = [k for k, name in enumerate(names) if not name.exists()]
-    on_progress(1.0 - len(missing) / len(names))
-    with joblib.parallel_config(backend=backend, n_jobs=jobs):
-        results = joblib.Parallel(return_as='generator_unordered')(
-            joblib.delayed(_task)(k, *tasks[k]) for k in missing)
-        for done, (k, batch) in enumerate(results, start=1):
-            save(names[k], {field.name: getattr(batch, field.name) for field in fields(Runs)})
-            on_progress(1.0 - (len(missing) - done) / len(names))
+    complete(names, _task, tasks, jobs, backend, on_progress)
     batches = [_load(name) for name in names]
     each = len(study.seeds())
     return [Runs.concatenate(batches[low:low + each]) for low in range(0, len(batches), each)]
 
 
-def _task(index: int, scenario: Scenario, seeds: Sequence[int]) -> tuple[int, Runs]:
-    return index, run_batch(scenario, seeds)
+def complete(names: Sequence[Path], task: Callable[..., dict[str, NDArray[Any]]],
+             arguments: Sequence[tuple[Any, ...]], jobs: int = -1, backend: str = 'loky',
+             on_progress: Callable[[float], None] = lambda part: None) -> None:
+    """Run the tasks whose file is not there yet; keep what each returns as soon as it is done.
+
+    Parameters
+    ----------
+    names : sequence of Path
+        An NPZ file for each task, in a folder that exists.
+    task : callable
+        Returns the arrays of one file.
+    arguments : sequence of tuple
+        Of each task.
+    jobs, backend, on_progress
+        As for `run`.
+    """
+    missing = [k for k, name in enumerate(names) if not name.exists()]
+    on_progress(1.0 - len(missing) / len(names))
+    with joblib.parallel_config(backend=backend, n_jobs=jobs):
+        results = joblib.Parallel(return_as='generator_unordered')(
+            joblib.delayed(_numbered)(k, task, arguments[k]) for k in missing)
+        for done, (k, arrays) in enumerate(results, start=1):
+            save(names[k], arrays)
+            on_progress(1.0 - (len(missing) - done) / len(names))
+
+
+def _numbered(index: int, task: Callable[..., dict[str, NDArray[Any]]],
+              arguments: tuple[Any, ...]) -> tuple[int, dict[str, NDArray[Any]]]:
+    return index, task(*arguments)
+
+
+def _task(scenario: Scenario, seeds: Sequence[int]) -> dict[str, NDArray[Any]]:
+    batch = run_batch(scenario, seeds)
+    return {field.name: getattr(batch, field.name) for field in fields(Runs)}
 
 
 def save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
@@ -156,13 +177,7 @@ def _load(path: Path) -> Runs:
 
 def bound(scenario: Scenario) -> Array:
     """Return the Cramér–Rao bound on T18's 16 states after the last frame, (16,) sigmas."""
-    tracker = sensors.star_tracker(scenario)
-    frames = tracker.next(tracker.count)
-    stars = catalog.load(scenario.star_tracker.limiting_magnitude)
-    u_i = sky.apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
-                              frames.star_counts, observer(scenario.observer))
-    covariance = cramer_rao(Filter(scenario), Truth.from_scenario(scenario), frames, u_i)
-    return np.sqrt(np.diag(covariance))
+    return np.sqrt(np.diag(bounds.after(scenario, [scenario.simulation.duration_s])[0]))
 
 
 def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:

@@ -73,6 +73,8 @@ class Panel:
     field : Field, optional
     log : str
         Axes that are logarithmic: '', 'x', 'y' or 'xy'.
+    y_limits : (low, high), optional
+        What of the y axis is shown; all of it otherwise.
     """
 
     title: str
@@ -81,6 +83,7 @@ class Panel:
     curves: tuple[Curve, ...] = ()
     field: Field | None = None
     log: str = ''
+    y_limits: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

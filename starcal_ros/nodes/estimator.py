@@ -4,144 +4,150 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from datetime import datetime, timezone
+from pathlib import Path
 import sys
-from typing import Any, TypeVar
+from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped
-from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
-from std_msgs.msg import Float64MultiArray
+from sensor_msgs.msg import Imu, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
-from starcal_ros import __version__, cdr, cdr_cloud, result
-from starcal_ros.cdr import Messages, RecordError
-from starcal_ros.nodes import diagnostics, messages, parameters, runtime
-from starcal_ros.nodes.flow import FlowPublisher, MatchedSubscription, drain
-from starcal_ros.stream import FrameResult, Stream
-from starcal_ros.track import Track
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:             # not among PyPI's packages of ROS 2; every distribution has it
-    TFMessage = None
-
-T = TypeVar('T')
+from starcal_ros import __version__, cdr, cdr_cloud, restart, result
+from starcal_ros.archive import Archive, ArchiveError
+from starcal_ros.config import Scenario
+from starcal_ros.nodes import parameters, runtime
+from starcal_ros.nodes.diagnostics import Diagnostics
+from starcal_ros.nodes.flow import MatchedSubscription, when_subscribed
+from starcal_ros.nodes.inputs import decoded
+from starcal_ros.nodes.managed import ManagedNode
+from starcal_ros.nodes.results import Results
+from starcal_ros.stream import Stream
 
 _DIAGNOSTICS_S = 1.0
-_PATIENCE_S = 10.0      # with a subscriber that hangs
-_DRAIN_S = 6.0          # for the last results; acknowledgements may take 3 s
 
 
-class Estimator(Node):
+class Estimator(ManagedNode):
     """Feed a `Stream` from two topics and publish what it gives."""
 
-    def __init__(self) -> None:
-        super().__init__('estimator')
-        self._scenario = parameters.declare(
-            self, 'camera', 'mounting', 'gyro', 'star_tracker', 'observer', 'estimator')
-        self._stream = Stream(self._scenario)
+    def __init__(self, **options: Any) -> None:
+        super().__init__('estimator', 'camera', 'mounting', 'gyro', 'star_tracker', 'observer',
+                         'estimator', **options)
+        parameters.follow(self, self.scenario, self._change)
+        self._stream: Stream | None = None
+        self.start()
+
+    # Lifecycle
+
+    def configure(self) -> None:
+        """Prepare the calibration, its publishers and services."""
+        self._archive = Archive(Path(self.scenario.estimator.calibration_directory)
+                                / self.get_namespace().strip('/'))
         self._enabled = True
-        self._outputs: list[FlowPublisher] = []
-        self._imu = self._output(Imu, 'starcal/imu', latched=False)
-        self._state = self._output(Float64MultiArray, 'starcal/state')
-        self._camera = self._output(CameraInfo, 'starcal/camera_info')
-        self._bias = self._output(TwistWithCovarianceStamped, 'starcal/gyro_bias')
-        self._mounting = self._output(PoseWithCovarianceStamped, 'starcal/mounting')
-        self._residuals = self._output(PointCloud2, 'starcal/residuals')
-        self._transform = TFMessage and self._output(TFMessage, '/tf_static')
-        self._diagnostics = self._output(DiagnosticArray, 'diagnostics', latched=False)
-        self._inputs = (
+        self._begin()
+        self._results = Results(self)
+        self._servers = [
+            self.create_service(Trigger, '~/save_calibration', self._save),
+            self.create_service(Trigger, '~/undo_save', self._undo),
+            self.create_service(Trigger, '~/reset', self._reset),
+            self.create_service(SetBool, '~/set_enabled', self._set_enabled)]
+
+    def activate(self) -> None:
+        """Listen to the sensors, as soon as the results have the listeners they must have."""
+        self._inputs: list[MatchedSubscription] = []
+        self._diagnostics = Diagnostics(self, self._inputs)
+        self._timers_running = [
+            runtime.steady_timer(self, _DIAGNOSTICS_S, self._publish_diagnostics),
+            when_subscribed(self, self._results.publishers,
+                            self.scenario.estimator.wait_for_subscribers, self._listen)]
+
+    def _listen(self) -> None:
+        self._inputs += [
             MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
             MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
-                                raw=True))
-        self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics)
-        self.create_service(Trigger, '~/save_calibration', self._save)
-        self.create_service(Trigger, '~/reset', self._reset)
-        self.create_service(SetBool, '~/set_enabled', self._set_enabled)
+                                raw=True)]
 
-    def close(self) -> None:
-        """Use up what has arrived, say where the calibration stands and deliver it."""
+    def deactivate(self) -> None:
+        """Use up what has arrived and say where the calibration stands."""
+        for timer in self._timers_running:
+            self.destroy_timer(timer)
         for subscription in self._inputs:
             subscription.take_all()
         self._publish_diagnostics()
-        drain(self._outputs, _DRAIN_S)
+        for subscription in self._inputs:
+            subscription.destroy()
 
-    def _output(self, kind: type, topic: str, latched: bool = True) -> FlowPublisher:
-        publisher = FlowPublisher(self, kind, topic, latched=latched, patience_s=_PATIENCE_S)
-        self._outputs.append(publisher)
-        return publisher
+    def cleanup(self) -> None:
+        """Deliver the results and forget the calibration."""
+        for server in self._servers:
+            self.destroy_service(server)
+        self._results.destroy()
+        self._stream = None
+
+    # Messages
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         if self._enabled:
-            for part in self._decoded(batch, cdr.decode_imu):
+            for part in decoded(batch, cdr.decode_imu, self._drop):
                 self._stream.add_gyro(part)
             self._advance()
 
     def _on_frames(self, batch: list[bytes]) -> None:
         if self._enabled:
-            for part in self._decoded(batch, cdr_cloud.decode_centroids):
+            for part in decoded(batch, cdr_cloud.decode_centroids, self._drop):
                 self._stream.add_frames(part)
             self._advance()
 
-    def _decoded(self, batch: list[bytes], decode: Callable[[Messages], T]) -> Iterator[T]:
-        """Yield messages as arrays, all at once, or singly around one that is no message."""
-        try:
-            yield decode(Messages.join(batch))
-        except RecordError as error:
-            if len(batch) == 1:
-                self._stream.counts.dropped_messages += 1
-                self.get_logger().error(f'message dropped: {error}')
-            else:
-                for message in batch:
-                    yield from self._decoded([message], decode)
+    def _drop(self, why: str) -> None:
+        self._stream.counts.dropped_messages += 1
+        self.get_logger().error(why)
 
     def _advance(self) -> None:
         """Publish what the stream gives by now."""
-        for frame in self._stream.process(tracked=True):
-            self._publish_track(frame.track)
-            self._publish(frame)
-        self._publish_track(self._stream.track())
-        for text in self._stream.take_notices():
+        stream = self._stream
+        for frame in stream.process(tracked=True):
+            self._results.publish_track(stream, frame.track)
+            self._results.publish_frame(stream, frame)
+        self._results.publish_track(stream, stream.track())
+        for text in stream.take_notices():
             self.get_logger().warning(text)
 
-    def _publish_track(self, track: Track) -> None:
-        for message in messages.imus(track):
-            self._imu.publish(message)
-
-    def _publish(self, frame: FrameResult) -> None:
-        stamp_ns, belief = frame.stamp_ns, frame.belief
-        covariance = belief.covariance
-        self._state.publish(messages.state(stamp_ns, belief))
-        self._camera.publish(messages.camera_info(
-            stamp_ns, belief.estimate.intrinsics, self._stream.filter.detector))
-        self._bias.publish(messages.gyro_bias(stamp_ns, belief, covariance))
-        self._mounting.publish(messages.mounting(stamp_ns, belief, covariance))
-        if self._transform:
-            self._transform.publish(TFMessage(
-                transforms=[messages.mounting_transform(stamp_ns, belief)]))
-        self._residuals.publish(messages.residuals(frame))
-
     def _publish_diagnostics(self) -> None:
-        now = self.get_clock().now().to_msg()
-        self._diagnostics.publish(diagnostics.diagnostics(self._stream, now, self._enabled))
+        self._results.publish_diagnostics(self._diagnostics.message(self._stream, self._enabled))
+
+    # Services and parameters
+
+    def _begin(self) -> None:
+        self._start = restart.start(self.scenario, self._archive)
+        self._stream = Stream(self._start.scenario, self._start.covariance)
+        for text in self._start.notices:
+            self.get_logger().warning(text)
 
     def _save(self, _: Any, response: Any) -> Any:
-        path = self._scenario.estimator.calibration_file
         try:
             outcome = result.result(self._stream, {
-                'version': __version__, 'config_sha256': self._scenario.sha256})
-            result.write_json(path, outcome)
-        except result.CalibrationError as error:
+                'version': __version__, 'config_sha256': self.scenario.sha256,
+                'saved_utc': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+                'began_with': self._start.source or 'nominal values'})
+            folder = self._archive.save(restart.files(outcome, self.scenario))
+        except (result.CalibrationError, ArchiveError) as error:
             response.success, response.message = False, str(error)
         else:
-            response.success, response.message = True, f'written to {path}'
+            response.success, response.message = True, f'saved as {folder}'
+        return response
+
+    def _undo(self, _: Any, response: Any) -> Any:
+        try:
+            aside = self._archive.undo()
+        except ArchiveError as error:
+            response.success, response.message = False, str(error)
+        else:
+            response.success, response.message = True, f'set aside as {aside}'
         return response
 
     def _reset(self, _: Any, response: Any) -> Any:
-        self._stream = Stream(self._scenario)
-        response.success, response.message = True, 'started again from the nominal values'
+        self._begin()
+        response.success = True
+        response.message = f'started again from {self._start.source or "the nominal values"}'
         return response
 
     def _set_enabled(self, request: Any, response: Any) -> Any:
@@ -149,6 +155,11 @@ class Estimator(Node):
         response.success = True
         response.message = 'estimating' if request.data else 'messages are ignored'
         return response
+
+    def _change(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        if self._stream:
+            self._stream.use(scenario.estimator)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -15,6 +15,8 @@ nothing more is published. So the depth is 100; who asks for the last one gets t
 
 `MatchedSubscription` requests the same, or the lower policy that a publisher offers. It takes
 all that waits at once, ten times as fast as a callback a message.
+
+What the middleware can not match is said in words, by both.
 """
 
 from __future__ import annotations
@@ -26,12 +28,14 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import (PublisherEventCallbacks, SubscriptionEventCallbacks,
+                                 UnsupportedEventTypeError)
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile,
                        ReliabilityPolicy)
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from starcal_ros.nodes import runtime
 
@@ -39,6 +43,11 @@ STREAM = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolic
                     durability=DurabilityPolicy.VOLATILE)
 LATCHED = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL, depth=100)
+
+_POLICY = {QoSPolicyKind.DURABILITY: 'durability: the last messages for who comes late',
+           QoSPolicyKind.DEADLINE: 'deadline: a message at least so often',
+           QoSPolicyKind.LIVELINESS: 'liveliness: a sign of life at least so often',
+           QoSPolicyKind.RELIABILITY: 'reliability: lost messages sent again'}
 
 BATCH = 500                     # most messages of one drain: other callbacks get their turn
 _MOST_WAITING = 5000            # messages that Fast DDS keeps for a subscriber
@@ -67,8 +76,12 @@ class FlowPublisher:
 
     def __init__(self, node: Node, message_type: type, topic: str, *,
                  latched: bool = False, patience_s: float = math.inf) -> None:
+        self._node = node
         self._publisher: Publisher[Any] = node.create_publisher(
-            message_type, topic, LATCHED if latched else STREAM)
+            message_type, topic, LATCHED if latched else STREAM,
+            event_callbacks=PublisherEventCallbacks(
+                incompatible_qos=self._on_incompatible, use_default_callbacks=False))
+        self.latched = latched
         self._depth = LATCHED.depth if latched else sys.maxsize
         self._unacknowledged = 0        # messages since all were acknowledged
         self._log = node.get_logger()
@@ -92,6 +105,10 @@ class FlowPublisher:
     def acknowledged(self) -> bool:
         """True when every reliable subscriber holds all that was published."""
         return self._publisher.wait_for_all_acked(Duration())
+
+    def destroy(self) -> None:
+        """End the publisher; what is not acknowledged by now may be lost."""
+        self._node.destroy_publisher(self._publisher)
 
     def publish(self, message: Any) -> bool:
         """Publish a message, or its CDR bytes; wait as long as a subscriber is behind.
@@ -150,6 +167,11 @@ class FlowPublisher:
             self._told = True
             self._log.warning(f'{self.topic}: a subscriber is behind, waiting for it')
 
+    def _on_incompatible(self, event: Any) -> None:
+        self._log.warning(f'{self.topic}: a subscriber asks for more than is offered '
+                          f'({_POLICY.get(event.last_policy_kind, "an unknown policy")}) and gets '
+                          'nothing')
+
     def _tell_going_on(self) -> None:
         if self._told:
             self._log.info(f'{self.topic}: going on after {self._waited_s:.1f} s'
@@ -158,21 +180,22 @@ class FlowPublisher:
 
 
 def drain(publishers: Iterable[FlowPublisher], patience_s: float = 1.0) -> bool:
-    """Wait until all that was published is acknowledged; after a stop, no longer than this."""
-    deadline = None
+    """Wait until all that was published is acknowledged, but no longer than this."""
+    deadline = time.monotonic() + patience_s
     for publisher in publishers:
         while not publisher.acknowledged:
+            if time.monotonic() > deadline:
+                return False
             time.sleep(0.01)
-            if runtime.stop_requested():
-                deadline = deadline or time.monotonic() + patience_s
-                if time.monotonic() > deadline:
-                    return False
     return True
 
 
 def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
-                    callback: Callable[[], None]) -> None:
-    """Call back, once and from the loop, when each publisher has that many subscribers."""
+                    callback: Callable[[], None]) -> Timer:
+    """Call back, once and from the loop, when each publisher has that many subscribers.
+
+    Until then the timer that is returned looks for them.
+    """
     publishers, began, told = list(publishers), time.monotonic(), False
 
     def poll() -> None:
@@ -187,7 +210,8 @@ def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
                 f'{publisher.topic} has {publisher.subscribers} of {count}'
                 for publisher in missing))
 
-    timer = node.create_timer(0.02, poll)
+    timer = runtime.steady_timer(node, 0.02, poll)
+    return timer
 
 
 class MatchedSubscription:
@@ -207,6 +231,13 @@ class MatchedSubscription:
         Ask for the last message that was published before.
     raw : bool
         Receive CDR bytes in place of messages.
+
+    Attributes
+    ----------
+    received : int
+        Number of messages handed over.
+    lost : int
+        Number of messages that the middleware says it has lost.
     """
 
     def __init__(self, node: Node, message_type: type, topic: str,
@@ -216,9 +247,10 @@ class MatchedSubscription:
         self._callback = callback
         self._reliability = ReliabilityPolicy.RELIABLE
         self._durability = LATCHED.durability if latched else STREAM.durability
+        self.received, self.lost = 0, 0
         self._subscription = self._create()
         self._recreation = node.create_guard_condition(self._recreate)
-        self._look = node.create_timer(_LOOK_S, self._look_again)
+        self._look = runtime.steady_timer(node, _LOOK_S, self._look_again)
 
     @property
     def topic(self) -> str:
@@ -233,8 +265,7 @@ class MatchedSubscription:
     def take_all(self) -> None:
         """Hand over all that waits, now; not what a publisher adds in the meantime."""
         for _ in range(_MOST_WAITING // BATCH):
-            if waiting := _take_waiting(self._subscription, BATCH):
-                self._callback(waiting)
+            self._hand_over(_take_waiting(self._subscription, BATCH))
 
     def destroy(self) -> None:
         """End the subscription."""
@@ -245,17 +276,36 @@ class MatchedSubscription:
     def _create(self) -> Subscription[Any]:
         qos = QoSProfile(reliability=self._reliability, durability=self._durability,
                          history=HistoryPolicy.KEEP_ALL)
-        return self._node.create_subscription(
-            self._type, self._topic, self._on_message, qos, raw=self._raw,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible))
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=self._on_incompatible, message_lost=self._on_lost,
+            use_default_callbacks=False)        # each costs time, message by message
+        try:
+            return self._node.create_subscription(
+                self._type, self._topic, self._on_message, qos, raw=self._raw,
+                event_callbacks=events)
+        except UnsupportedEventTypeError:       # by this middleware; the other rclpy skips itself
+            events.message_lost = None
+            return self._node.create_subscription(
+                self._type, self._topic, self._on_message, qos, raw=self._raw,
+                event_callbacks=events)
 
     def _look_again(self) -> None:
         # What arrives while messages are taken does not always wake the executor once more.
-        if waiting := _take_waiting(self._subscription, BATCH):
-            self._callback(waiting)
+        self._hand_over(_take_waiting(self._subscription, BATCH))
 
     def _on_message(self, message: Any) -> None:
-        self._callback([message, *_take_waiting(self._subscription, BATCH - 1)])
+        self._hand_over([message, *_take_waiting(self._subscription, BATCH - 1)])
+
+    def _hand_over(self, messages: list[Any]) -> None:
+        if messages:
+            self.received += len(messages)
+            self._callback(messages)
+
+    def _on_lost(self, event: Any) -> None:
+        if not self.lost:
+            self._node.get_logger().warning(
+                f'{self.topic}: the middleware has lost messages, {event.total_count} at first')
+        self.lost += event.total_count_change
 
     def _on_incompatible(self, event: Any) -> None:
         if event.last_policy_kind == QoSPolicyKind.RELIABILITY:
@@ -263,6 +313,10 @@ class MatchedSubscription:
         elif event.last_policy_kind == QoSPolicyKind.DURABILITY:
             self._durability, offer = DurabilityPolicy.VOLATILE, 'volatile'
         else:
+            self._node.get_logger().warning(
+                f'{self.topic}: a publisher offers less than is asked for '
+                f'({_POLICY.get(event.last_policy_kind, "an unknown policy")}), so that nothing '
+                'is received from it')
             return
         self._node.get_logger().warning(
             f'{self.topic}: a publisher offers {offer} only, so that is requested now')

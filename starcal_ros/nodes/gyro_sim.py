@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import sys
+from typing import Any
 
 from sensor_msgs.msg import Imu
 
@@ -23,8 +24,8 @@ _BATCH = 100
 class GyroSim(Simulator):
     """Publish the readings of a scenario."""
 
-    def __init__(self) -> None:
-        super().__init__('gyro_sim')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('gyro_sim', **options)
         scenario = parameters.declare(self, 'gyro', 'motion', 'truth', 'simulation')
         self._simulator = sensors.gyro(scenario)
         self._told = 0

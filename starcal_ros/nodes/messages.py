@@ -14,6 +14,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from starcal_ros import ros_conventions, rotation
 from starcal_ros.camera import Detector
+from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.estimator import EPSILON, Belief
 from starcal_ros.ros_conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
 from starcal_ros.stream import FrameResult, Track
@@ -38,9 +39,12 @@ def quaternion(C: Array) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
-def imus(track: Track) -> list[Imu]:
-    """Return `starcal/imu`: orientation of gyro in icrf, its covariance about the axes of icrf."""
-    messages = []
+def imus(track: Track, rate_covariance: Array) -> list[Imu]:
+    """Return `starcal/imu`: orientation of gyro in icrf, its covariance about the axes of icrf.
+
+    The covariance of the rate, (3, 3), is about the axes of gyro; there is no acceleration.
+    """
+    messages, rate_covariance = [], rate_covariance.ravel()
     q_ig = rotation.to_quaternion(np.swapaxes(track.C_gi, -1, -2))
     for stamp_ns, q, covariance, rate in zip(
             track.stamp_ns.tolist(), q_ig.tolist(), track.covariance, track.rate.tolist()):
@@ -49,6 +53,7 @@ def imus(track: Track) -> list[Imu]:
         orientation.x, orientation.y, orientation.z, orientation.w = q
         velocity.x, velocity.y, velocity.z = rate
         message.orientation_covariance = covariance.ravel()
+        message.angular_velocity_covariance = rate_covariance
         message.linear_acceleration_covariance[0] = -1.0        # REP-145: not measured
         messages.append(message)
     return messages
@@ -102,6 +107,12 @@ def state(stamp_ns: int, belief: Belief) -> Float64MultiArray:
     """Return `starcal/state`."""
     return labelled(list(ros_conventions.STATE_LAYOUT),
                     ros_conventions.state_vector(stamp_ns, belief))
+
+
+def intrinsics(stamp_ns: int, estimate: CameraEstimate) -> Float64MultiArray:
+    """Return `starcal/intrinsics/state`."""
+    return labelled(list(ros_conventions.INTRINSICS_LAYOUT), np.concatenate((
+        [stamp_ns * 1e-9], estimate.intrinsics, estimate.covariance.ravel())))
 
 
 def residuals(result: FrameResult) -> PointCloud2:

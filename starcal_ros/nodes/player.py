@@ -3,6 +3,10 @@
 """Node `player`: publishes a recording again, no faster than its subscribers take it, then ends.
 
 Without a choice of topics the results stay out: an estimator that listens makes new ones.
+
+It publishes /clock, the time of the recording, for nodes with `use_sim_time`: it stands while the
+player is paused, never runs ahead of a message that a subscriber keeps waiting, and goes back
+where a loop begins again.
 """
 
 from __future__ import annotations
@@ -10,10 +14,14 @@ from __future__ import annotations
 import heapq
 import sys
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
+from typing import Any
 
+from builtin_interfaces.msg import Time
+import numpy as np
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from starcal_ros.bag import Bag, Topic, open_bag
 from starcal_ros.cdr import RecordError
@@ -23,6 +31,7 @@ from starcal_ros.nodes import parameters, runtime
 from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
 from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
 from starcal_ros.nodes.topics import SENSORS, TOPICS, message_type
+from starcal_ros.units import NS
 
 _RESULTS = tuple('/' + topic.name.lstrip('/') for topic in TOPICS if topic.result)
 _OF_ROS = ('/rosout', '/parameter_events', '/clock')
@@ -31,23 +40,22 @@ _OF_ROS = ('/rosout', '/parameter_events', '/clock')
 class Player(Node):
     """Publish the messages of a bag in the rhythm of their log times."""
 
-    def __init__(self) -> None:
-        super().__init__('player')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('player', **options)
         player = parameters.declare(self, 'player').player
         if not player.bag:
             raise ConfigError('player.bag: not given, needs an .mcap file or a rosbag2 directory')
         bag = open_bag(Path(player.bag))
         publishers = {topic.name: publisher for topic in self._choose(bag, player)
                       if (publisher := self._publisher(topic))}
-        items = _items(bag, publishers)
-        first = next(items, None)
-        if first is None:
-            raise RecordError(f'{player.bag} has no message to publish')
-        clock = SimulatedClock(first[0], player.rate)
-        self._feed = Feed(self, clock, chain([first], items))
+        start_ns = _start(bag, publishers, player)
+        self._playback = SimulatedClock(start_ns, player.rate)
+        self._feed = Feed(self, self._playback,
+                          self._laps(bag, publishers, start_ns, player.loop))
+        self._serve(player)
         sensors = [publisher for name, publisher in publishers.items() if name.endswith(SENSORS)]
         when_subscribed(self, sensors or publishers.values(), player.wait_for_subscribers,
-                        clock.begin)
+                        self._playback.begin)
         for text in bag.warnings:
             self.get_logger().warning(text)
         self.get_logger().info(f'playing {", ".join(publishers)} of {player.bag}')
@@ -78,6 +86,54 @@ class Player(Node):
             self.get_logger().warning(f'{topic.name} is not played: {topic.type} is not installed')
             return None
         return FlowPublisher(self, kind, topic.name, latched='transient_local' in topic.qos)
+
+    def _laps(self, bag: Bag, publishers: dict[str, FlowPublisher], start_ns: int, loop: bool
+              ) -> Iterator[Item]:
+        """Yield the messages from the start on, in a loop again and again.
+
+        Of the latched ones also those before the start, which whoever comes late would have.
+        """
+        while True:
+            yield from (item for item in _items(bag, publishers)
+                        if item[0] >= start_ns or item[1].latched)
+            if not loop:
+                return
+            self.get_logger().info('beginning again')
+            self._playback.begin()
+
+    def _serve(self, player: PlayerConfig) -> None:
+        self.create_service(Trigger, '~/pause', self._pause)
+        self.create_service(Trigger, '~/resume', self._resume)
+        if player.clock_hz > 0.0:
+            self._clock_topic = self.create_publisher(Clock, '/clock', 1)
+            runtime.steady_timer(self, 1.0 / player.clock_hz, self._publish_clock)
+
+    def _publish_clock(self) -> None:
+        sec, nanosec = divmod(self._feed.now_ns, 10**9)
+        self._clock_topic.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+
+    def _pause(self, _: Any, response: Any) -> Any:
+        self._feed.pause()
+        response.success, response.message = True, 'paused'
+        return response
+
+    def _resume(self, _: Any, response: Any) -> Any:
+        self._feed.resume()
+        response.success, response.message = True, 'playing'
+        return response
+
+
+def _start(bag: Bag, publishers: dict[str, FlowPublisher], player: PlayerConfig) -> int:
+    """Return the log time at which to start [ns]."""
+    log_times = np.concatenate([np.empty(0, np.int64), *map(bag.log_times, publishers)])
+    if not log_times.size:
+        raise RecordError(f'{player.bag} has no message to publish')
+    first, last = int(log_times.min()), int(log_times.max())
+    start_ns = first + round(player.start_offset_s / NS)
+    if start_ns > last:
+        raise ConfigError(f'player.start_offset_s: got {player.start_offset_s}, {player.bag} '
+                          f'lasts {(last - first) * NS:.3f} s')
+    return start_ns
 
 
 def _items(bag: Bag, publishers: dict[str, FlowPublisher]) -> Iterator[Item]:

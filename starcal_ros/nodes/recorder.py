@@ -5,26 +5,28 @@
 The log time of a message is its stamp, not the time of its arrival: a run that was simulated at
 twenty times its speed is then played back at its own. A message without stamp, or with that of
 the wall clock (diagnostics), gets the newest stamp that came from the same source. A stamp that
-goes backward gets the newest of its topic, so each topic keeps its order of arrival.
+goes backward gets the newest of its topic, so each topic keeps its order of arrival; so does one
+that is an hour ahead, until the next one is, too.
 """
 
 from __future__ import annotations
 
+from collections import deque
 import json
 import struct
 import sys
-import time
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros import parameter_file
-from starcal_ros.nodes import parameters, runtime
-from starcal_ros.nodes.flow import MatchedSubscription
+from starcal_ros.nodes import runtime
+from starcal_ros.nodes.flow import LATCHED, MatchedSubscription
+from starcal_ros.nodes.managed import ManagedNode
 from starcal_ros.nodes.topics import TOPICS, is_stamped, message_type, offered_qos
 from starcal_ros.record import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.record_writer import Batch, Qos, Writer
@@ -34,6 +36,7 @@ _TRUTH = 'truth/parameters'
 _FLUSH_S = 1.0                  # a killed recorder loses no more than this
 _FLUSH_BYTES = 16 << 20
 _SEARCH_S = 0.2
+_FAR_NS = 3600 * 10**9
 
 
 @dataclass
@@ -45,43 +48,68 @@ class _Channel:
     stamped: bool
     source: str             # topics of one source run by one clock
     subscription: MatchedSubscription | None = None
-    qos: Qos | None = None
+    qos: tuple[Qos, ...] = ()
     newest_ns: int = 0
+    is_ahead: bool = False          # the last stamp, far, and not believed
     log_times_ns: list[int | None] = field(default_factory=list)
     messages: list[bytes] = field(default_factory=list)
     count: int = 0
-    last: bytes = b''
+    latest: deque[bytes] = field(default_factory=lambda: deque(maxlen=LATCHED.depth))
+    known: set[bytes] = field(default_factory=set)      # latched, and recorded before a pause
+
+    def log_time_ns(self, stamp_ns: int) -> int:
+        """Return the log time of the next message."""
+        far = self.newest_ns > 0 and stamp_ns > self.newest_ns + _FAR_NS
+        if not far or self.is_ahead:
+            self.newest_ns = max(self.newest_ns, stamp_ns)
+        self.is_ahead = far and not self.is_ahead
+        return self.newest_ns
 
 
-class Recorder(Node):
+class Recorder(ManagedNode):
     """Subscribe to the topics and write what comes, once a second, in the order of the stamps."""
 
-    def __init__(self) -> None:
-        super().__init__('recorder')
-        scenario = parameters.declare(self, 'recorder')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('recorder', 'recorder', **options)
+        self.start()
+
+    def configure(self) -> None:
+        """Make the file."""
+        options = self.scenario.recorder
         self._channels: dict[str, _Channel] = {}
         self._newest_ns: dict[str, int] = {}        # by source
         self._n_bytes = 0
-        known = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
-        wanted = [self.resolve_topic_name(name) for name in scenario.recorder.topics] or [*known]
-        self._searched = {name for name in wanted if name not in known}
-        self._writer = Writer(scenario.recorder.output)
-        self._writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
+        self._known = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        self._wanted = [self.resolve_topic_name(name) for name in options.topics] or [*self._known]
+        self._writer = Writer(options.output)
+        self._writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(self.scenario).encode(),
                             'application/yaml')
-        for name in wanted:
-            if topic := known.get(name):
+
+    def activate(self) -> None:
+        """Subscribe to the topics."""
+        self._searched = {name for name in self._wanted if name not in self._known}
+        for name in self._wanted:
+            if topic := self._known.get(name):
                 self._subscribe(name, topic.type_name, topic.latched,
                                 'estimator' if topic.result else '')
-        self.create_timer(_FLUSH_S, self._flush)
-        self._search_timer = self.create_timer(_SEARCH_S, self._search)
-        self.get_logger().info(f'recording to {scenario.recorder.output}')
+        self._timers_running = [runtime.steady_timer(self, _FLUSH_S, self._flush),
+                                runtime.steady_timer(self, _SEARCH_S, self._search)]
+        self.get_logger().info(f'recording to {self._writer.path}')
 
-    def close(self) -> None:
-        """Write what has arrived and finish the file."""
+    def deactivate(self) -> None:
+        """Write what has arrived and subscribe to nothing."""
+        for timer in self._timers_running:
+            self.destroy_timer(timer)
         for channel in self._channels.values():
             if channel.subscription:
                 channel.subscription.take_all()
-        self._flush(time.time_ns())
+                channel.subscription.destroy()
+                channel.subscription = None
+        self._flush()
+
+    def cleanup(self) -> None:
+        """Finish the file."""
+        self._flush(self.get_clock().now().nanoseconds)
         self._attach_truth()
         self._writer.close()
         counts = {name: channel.count for name, channel in self._channels.items()}
@@ -90,8 +118,8 @@ class Recorder(Node):
 
     def _attach_truth(self) -> None:
         channel = self._channels.get(self.resolve_topic_name(_TRUTH))
-        if channel and channel.last:
-            values = np.array(deserialize_message(channel.last, Float64MultiArray).data)
+        if channel and channel.latest:
+            values = np.array(deserialize_message(channel.latest[-1], Float64MultiArray).data)
             if len(values) != VECTOR_SIZE:
                 return
             text = json.dumps(from_vector(values), indent=1)
@@ -104,8 +132,9 @@ class Recorder(Node):
             return
         # The stamp of diagnostics is the wall clock, also in a simulated run.
         stamped = is_stamped(kind) and not name.endswith('diagnostics')
-        channel = self._channels[name] = _Channel(
-            type_name, latched, stamped, source or name.rsplit('/', 1)[0])
+        channel = self._channels.setdefault(name, _Channel(
+            type_name, latched, stamped, source or name.rsplit('/', 1)[0]))
+        channel.known = set(channel.latest) if latched else set()
         channel.subscription = MatchedSubscription(
             self, kind, name, lambda batch: self._take(channel, batch), latched=latched, raw=True)
 
@@ -117,20 +146,19 @@ class Recorder(Node):
                           for info in self.get_publishers_info_by_topic(name))
             self._searched.remove(name)
             self._subscribe(name, types[name][0], latched)
-        if not self._searched:
-            self._search_timer.cancel()
 
     def _take(self, channel: _Channel, batch: list[bytes]) -> None:
+        if channel.known:           # a latched message comes once more to who subscribes again
+            batch, given = [message for message in batch if message not in channel.known], batch
+            channel.known.difference_update(given)
         if channel.stamped:
-            for message in batch:
-                channel.newest_ns = max(channel.newest_ns, _stamp_ns(message))
-                channel.log_times_ns.append(channel.newest_ns)
+            channel.log_times_ns += [channel.log_time_ns(_stamp_ns(message)) for message in batch]
             self._newest_ns[channel.source] = max(channel.newest_ns,
                                                   self._newest_ns.get(channel.source, 0))
         else:
             channel.log_times_ns += [self._newest_ns.get(channel.source)] * len(batch)
         channel.messages += batch
-        channel.last = batch[-1]
+        channel.latest.extend(batch[-LATCHED.depth:])
         channel.count += len(batch)
         self._n_bytes += sum(map(len, batch))
         if self._n_bytes > _FLUSH_BYTES:

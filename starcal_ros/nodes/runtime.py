@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Run one node from its creation to a clean end: the body of every `main`.
+"""Run nodes from their creation to a clean end: the body of every `main`.
 
 SIGINT and SIGTERM only set a flag. The loop below and all that waits (`starcal_ros.nodes.flow`)
 look at it, so a node is never interrupted halfway: it closes its file, leaves the graph and
@@ -9,8 +9,12 @@ in a traceback.
 
 A node may have
 
-* ``finished``: true when it has nothing left to do, which ends the process;
+* ``finished``: true when it has nothing left to do; it is then destroyed, and when none is left
+  the process ends;
 * ``close()``: called once before it is destroyed, whatever ended it.
+
+Several nodes in one process share one thread, so a callback must not wait for what another of
+them has yet to do. Where the process is asked to end, the node that was made last is closed first.
 """
 
 from __future__ import annotations
@@ -18,14 +22,17 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
 
 from starcal_ros.cdr import RecordError
 from starcal_ros.parameter import ConfigError
@@ -33,7 +40,10 @@ from starcal_ros.parameter import ConfigError
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_USAGE = 0, 2
 
-_USER_ERRORS = (ConfigError, ParameterException, RecordError)
+USER_ERRORS = (ConfigError, ParameterException, RecordError)
+"""What the user can mend: told in one line."""
+
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _stop_requested_at: float | None = None
 
 
@@ -53,27 +63,37 @@ def request_stop(*_: object) -> None:
     _stop_requested_at = _stop_requested_at or time.monotonic()
 
 
+def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
+    """Return a timer that real time drives, whatever /clock says to the node."""
+    return node.create_timer(period_s, callback, clock=_STEADY)
+
+
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Create a node and serve it until a signal comes or it is finished.
+    """Create a node and serve it until a signal comes or it is finished; see `run_together`."""
+    return run_together([make_node], args)
+
+
+def run_together(make_nodes: Sequence[Callable[[], Node]], args: list[str] | None = None) -> int:
+    """Create nodes and serve them until a signal comes or all are finished.
 
     Parameters
     ----------
-    make_node : callable
-        Creates the node, when rclpy is ready.
+    make_nodes : sequence of callables
+        Each creates a node, when rclpy is ready.
     args : list of str, optional
         Command line with ROS arguments; ``sys.argv`` by default.
 
     Returns
     -------
     status : int
-        0 after a signal or when the node is finished; 2 where a parameter or a recording is at
+        0 after a signal or when the nodes are finished; 2 where a parameter or a recording is at
         fault, which is told in one line on stderr. Other exceptions are not caught.
     """
     _on_signals(request_stop)
     try:
         _initialize(args)
-        _serve(make_node)
-    except _USER_ERRORS as error:
+        _serve(make_nodes)
+    except USER_ERRORS as error:
         print(f'error: {" ".join(str(error).split())}', file=sys.stderr)
         return STATUS_USAGE
     finally:
@@ -95,18 +115,28 @@ def _initialize(args: list[str] | None) -> None:
         raise ConfigError(f'ROS arguments: {reason}') from None
 
 
-def _serve(make_node: Callable[[], Node]) -> None:
-    node = make_node()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        while not (stop_requested() or getattr(node, 'finished', False)):
-            executor.spin_once(timeout_sec=SPIN_S)
-    except ExternalShutdownException:
-        pass
-    finally:
+def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
+    executor, nodes = SingleThreadedExecutor(), []
+    with ExitStack() as at_the_end:             # the last of these is called first
+        at_the_end.callback(executor.shutdown)
+        at_the_end.callback(lambda: _end(executor, nodes))
+        for make_node in make_nodes:
+            nodes.append(make_node())
+            executor.add_node(nodes[-1])
         try:
-            getattr(node, 'close', lambda: None)()
-        finally:
-            executor.shutdown()
-            node.destroy_node()
+            while nodes and not stop_requested():
+                executor.spin_once(timeout_sec=SPIN_S)
+                finished = [node for node in nodes if getattr(node, 'finished', False)]
+                nodes[:] = [node for node in nodes if node not in finished]
+                _end(executor, finished)
+        except ExternalShutdownException:
+            pass
+
+
+def _end(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
+    """Close nodes and destroy them, the last first; each of them, whatever the others do."""
+    with ExitStack() as stack:
+        for node in nodes:
+            stack.callback(node.destroy_node)
+            stack.callback(executor.remove_node, node)
+            stack.callback(getattr(node, 'close', lambda: None))

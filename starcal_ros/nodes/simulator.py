@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from starcal_ros.config import SimulationConfig, stamp_ns
 from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
-from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
+from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock, passing_time
 
 
 class Simulator(Node):
@@ -20,7 +20,7 @@ class Simulator(Node):
               ) -> None:
         """Start the run as soon as the sensor's topic has the subscribers it must have."""
         start_ns = stamp_ns('simulation.start_utc', simulation.start_utc)
-        clock = SimulatedClock(start_ns, simulation.real_time_factor)
+        clock = SimulatedClock(start_ns, simulation.real_time_factor, passing_time(self))
         self._feed = Feed(self, clock, items)
         when_subscribed(self, [sensor], simulation.wait_for_subscribers, clock.begin)
 

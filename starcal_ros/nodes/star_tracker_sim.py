@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import sys
+from typing import Any
 
 from geometry_msgs.msg import QuaternionStamped
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -26,8 +27,8 @@ _BATCH = 20
 class StarTrackerSim(Simulator):
     """Publish the frames of a scenario, its nominal camera and its truth."""
 
-    def __init__(self) -> None:
-        super().__init__('star_tracker_sim')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('star_tracker_sim', **options)
         scenario = parameters.declare(self, 'camera', 'mounting', 'gyro', 'star_tracker',
                                       'motion', 'observer', 'truth', 'simulation')
         self._simulator = sensors.star_tracker(scenario)

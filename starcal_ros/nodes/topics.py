@@ -8,9 +8,9 @@ from importlib import import_module
 from typing import NamedTuple
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 
-from starcal_ros.record_writer import Qos
+from starcal_ros.record_writer import LATCHED, Qos
 
 
 class Topic(NamedTuple):
@@ -37,6 +37,10 @@ TOPICS = (
           result=True),
     Topic('starcal/state', 'std_msgs/msg/Float64MultiArray', latched=True, result=True),
     Topic('starcal/residuals', 'sensor_msgs/msg/PointCloud2', latched=True, result=True),
+    Topic('starcal/intrinsics/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True,
+          result=True),
+    Topic('starcal/intrinsics/state', 'std_msgs/msg/Float64MultiArray', latched=True,
+          result=True),
     Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result=True),
     Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True),
 )
@@ -59,17 +63,25 @@ def is_stamped(kind: type) -> bool:
     return next(iter(fields.items()), None) == ('header', 'std_msgs/Header')
 
 
-def offered_qos(node: Node, topic: str, latched: bool) -> Qos:
-    """Return what the publishers of a topic offer: the least of it, where they differ.
+def offered_qos(node: Node, topic: str, latched: bool) -> tuple[Qos, ...]:
+    """Return what each publisher of a topic offers; publishers that offer the same are one.
 
-    History and depth do not travel over the wire; they are those of the suite.
+    History and depth may not travel over the wire; they are then those of the suite.
     """
     offers = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
-    if any(offer.durability == DurabilityPolicy.VOLATILE for offer in offers):
-        latched = False
-    elif offers:
-        latched = True
-    best_effort = any(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers)
-    return Qos(depth=1 if latched else 100,
-               reliability='best_effort' if best_effort else 'reliable',
-               durability='transient_local' if latched else 'volatile')
+    if not offers:
+        return (LATCHED,) if latched else (Qos(),)
+    return tuple(dict.fromkeys(map(_qos, offers)))
+
+
+def _qos(offer: QoSProfile) -> Qos:
+    latched = offer.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    stated = offer.history in (HistoryPolicy.KEEP_LAST, HistoryPolicy.KEEP_ALL)
+    return Qos(
+        history=offer.history.name.lower() if stated else 'keep_last',
+        depth=offer.depth if stated else (LATCHED if latched else Qos()).depth,
+        reliability=offer.reliability.name.lower(), durability=offer.durability.name.lower(),
+        deadline_ns=offer.deadline.nanoseconds, lifespan_ns=offer.lifespan.nanoseconds,
+        liveliness=offer.liveliness.name.lower(),
+        liveliness_lease_duration_ns=offer.liveliness_lease_duration.nanoseconds,
+        avoid_ros_namespace_conventions=offer.avoid_ros_namespace_conventions)

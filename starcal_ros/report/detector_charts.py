@@ -86,9 +86,9 @@ def distortion_map(title: str, detector: Detector, intrinsics: Array, minus: Arr
     def field(cells: int) -> tuple[Array, Array]:
         place = _places(detector, cells)
         uv = place - detector.centre_raster
-        shift = _distortion(intrinsics, uv, detector.pitch_mm)
+        shift = camera.distortion(uv, intrinsics, detector.pitch_mm)
         if minus is not None:
-            shift -= _distortion(minus, uv, detector.pitch_mm)
+            shift -= camera.distortion(uv, minus, detector.pitch_mm)
         return place, shift
 
     place, shift = field(_GRID)
@@ -110,14 +110,6 @@ def correlation(names: tuple[str, ...], values: Array) -> Chart:
                     colorbar={'thickness': 10, 'outlinewidth': 0})],
         '', '', height=380, yaxis_autorange='reversed', xaxis_tickangle=-90,
         xaxis_tickfont_size=10, yaxis_tickfont_size=10, xaxis_dtick=1, yaxis_dtick=1)
-
-
-def _distortion(intrinsics: Array, uv: Array, pitch_mm: float) -> Array:
-    """Return the distortion, (n, 2) [px], of undistorted image points uv (n, 2) [px]."""
-    pinhole = intrinsics.copy()
-    pinhole[3:] = 0.0
-    r_s = camera.unproject(uv, pinhole, pitch_mm)
-    return camera.project(r_s, intrinsics, pitch_mm) - camera.project(r_s, pinhole, pitch_mm)
 
 
 def _places(detector: Detector, cells: int) -> Array:

@@ -1,34 +1,26 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The report: one page of HTML that needs nothing but itself.
-
-Its content security policy forbids the browser to load anything, so that the page stays what it
-is wherever it is opened. All that comes from outside (names, notices, configuration) is escaped.
-"""
+"""The report of a calibration: one page of HTML."""
 
 from __future__ import annotations
 
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from plotly.offline import get_plotlyjs
 
 from starcal_ros import parameter_file
 from starcal_ros.calibration.predicted_centroid import History
 from starcal_ros.camera import INTRINSICS_KEYS
 from starcal_ros.config import Scenario
 from starcal_ros.report import detector_charts, time_charts
-from starcal_ros.report.chart import Chart
+from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.report.states import LABELS, Row, rows, short, summary
 from starcal_ros.scenario import detector, intrinsics
 from starcal_ros.verdict import NAMES, Verdict, advice
 
-_POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-           "img-src data: blob:; base-uri 'none'; form-action 'none'")
 _LABEL = {name: name.replace('_', ' ') for name in NAMES[:3]} | dict(zip(NAMES[3:], LABELS))
 
 
@@ -68,66 +60,10 @@ def html(calibration: Calibration) -> str:
     """Return the report of a calibration as HTML."""
     outcome = calibration.outcome
     title = f'Calibration of {outcome["provenance"]["bag"]}'
-    body = '\n'.join((
-        f'<h1>{escape(title)}</h1>', _verdict(calibration), _states(calibration),
-        _convergence(calibration), _residuals(calibration), _consistency(calibration),
-        _distortion(calibration), _coupling(calibration), _counts(calibration),
-        _provenance(calibration)))
-    data = files('starcal_ros') / 'data'
-    style, script = ((data / name).read_text('utf-8') for name in ('report.css', 'report.js'))
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,">
-<title>{escape(title)}</title>
-<style>{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-<script>{get_plotlyjs()}</script>
-<script>{script}</script>
-</body>
-</html>
-"""
-
-
-def _section(name: str, title: str, *parts: str) -> str:
-    inside = '\n'.join(parts)
-    return f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{inside}\n</section>'
-
-
-def _paragraph(text: str) -> str:
-    return f'<p>{escape(text)}</p>'
-
-
-def _list(items: list[str]) -> str:
-    return '<ul>' + ''.join(f'<li>{escape(item)}</li>' for item in items) + '</ul>'
-
-
-def _table(head: list[str], body: list[list[str]]) -> str:
-    """Return a table; the first cell of a row is its heading."""
-    def line(cells: list[str], tag: str) -> str:
-        first, *rest = (escape(cell) for cell in cells)
-        return f'<tr><th>{first}</th>' + ''.join(f'<{tag}>{c}</{tag}>' for c in rest) + '</tr>'
-
-    top = f'<thead>{line(head, "th")}</thead>' if head else ''
-    return (f'<div class="scroll"><table>{top}<tbody>'
-            + '\n'.join(line(cells, 'td') for cells in body) + '</tbody></table></div>')
-
-
-def _charts(charts: list[Chart]) -> str:
-    """Return figures side by side; report.js draws them from their data."""
-    return '<div class="charts">' + '\n'.join(
-        f'<figure{" class=wide" if chart.wide else ""}>'
-        f'<figcaption>{escape(chart.title)}</figcaption>'
-        f'<div class="chart" style="height:{chart.figure.layout.height}px"></div>'
-        f'<script type="application/json">{chart.figure.to_json()}</script></figure>'
-        for chart in charts) + '</div>'
+    return document(
+        title, _verdict(calibration), _states(calibration), _convergence(calibration),
+        _residuals(calibration), _consistency(calibration), _distortion(calibration),
+        _coupling(calibration), _counts(calibration), _provenance(calibration))
 
 
 def _verdict(calibration: Calibration) -> str:
@@ -144,11 +80,11 @@ def _verdict(calibration: Calibration) -> str:
     summary_ = verdict.summary
     for name in verdict.outside:
         summary_ = summary_.replace(name, _LABEL[name])
-    return _section(
+    return section(
         'verdict', 'Verdict',
         f'<p class="verdict {"yes" if verdict.converged else "no"}">'
         f'{escape(summary_[0].upper() + summary_[1:])}.</p>',
-        _paragraph(summary(calibration.outcome) + '.'), _list(said))
+        paragraph(summary(calibration.outcome) + '.'), items(said))
 
 
 def _states(calibration: Calibration) -> str:
@@ -163,12 +99,12 @@ def _states(calibration: Calibration) -> str:
                 short(row.sigma), short(tolerance), 'yes' if within else 'no',
                 *([f'{row.error / row.sigma:+.2f}'] if known else [])]
 
-    return _section(
+    return section(
         'states', 'States',
-        _table(head, [cells(row, state.tolerance, state.within) for row, state in zip(
+        table(head, [cells(row, state.tolerance, state.within) for row, state in zip(
             rows(calibration.outcome, calibration.truth), calibration.verdict.states)]),
-        _paragraph('Fixed angles are in degrees, their sigma, error and tolerance in arc seconds. '
-                   'Tolerances are those of the configuration, estimator.tolerance.'))
+        paragraph('Fixed angles are in degrees, their sigma, error and tolerance in arc seconds. '
+                  'Tolerances are those of the configuration, estimator.tolerance.'))
 
 
 def _convergence(calibration: Calibration) -> str:
@@ -177,11 +113,11 @@ def _convergence(calibration: Calibration) -> str:
     n = len(history.stamp_ns)
     drawn = len(time_charts.thinned(n))
     thin = f' Of {n} frames {drawn} are drawn.' if drawn < n else ''
-    return _section(
+    return section(
         'convergence', 'Convergence',
-        _paragraph(f'Estimate minus {against} with 3-sigma bounds, scaled to the bound at one '
-                   f'fifth of the run.{thin}'),
-        _charts(time_charts.convergence(history, calibration.truth)))
+        paragraph(f'Estimate minus {against} with 3-sigma bounds, scaled to the bound at one '
+                  f'fifth of the run.{thin}'),
+        charts(time_charts.convergence(history, calibration.truth)))
 
 
 def _residuals(calibration: Calibration) -> str:
@@ -189,69 +125,69 @@ def _residuals(calibration: Calibration) -> str:
     used = stars.residual[stars.accepted]
     u, v = np.sqrt(np.mean(used**2, axis=0)) if len(used) else (0.0, 0.0)
     cells = detector_charts.CELLS
-    return _section(
+    return section(
         'residuals', 'Residuals',
-        _paragraph(f'Measured minus predicted centroid after the update, of all {len(used)} stars '
-                   f'used: RMS {u:.4f}, {v:.4f} px. The map averages them over {cells} by {cells} '
-                   'cells of the detector; the lines in the histograms are the Gaussian that '
-                   'the stated sigmas promise.'),
-        _charts([detector_charts.residual_map(stars, detector(calibration.scenario.camera)),
-                 *detector_charts.residual_histograms(stars)]))
+        paragraph(f'Measured minus predicted centroid after the update, of all {len(used)} stars '
+                  f'used: RMS {u:.4f}, {v:.4f} px. The map averages them over {cells} by {cells} '
+                  'cells of the detector; the lines in the histograms are the Gaussian that '
+                  'the stated sigmas promise.'),
+        charts([detector_charts.residual_map(stars, detector(calibration.scenario.camera)),
+                *detector_charts.residual_histograms(stars)]))
 
 
 def _consistency(calibration: Calibration) -> str:
     figure, text = time_charts.consistency(calibration.history)
-    return _section('consistency', 'Consistency', _paragraph(text), _charts([figure]))
+    return section('consistency', 'Consistency', paragraph(text), charts([figure]))
 
 
 def _distortion(calibration: Calibration) -> str:
     pixels = detector(calibration.scenario.camera)
     before = intrinsics(calibration.scenario.camera)
     after = _camera(calibration.outcome)
-    charts = [detector_charts.distortion_map('Nominal', pixels, before),
-              detector_charts.distortion_map('Estimated', pixels, after)]
+    maps = [detector_charts.distortion_map('Nominal', pixels, before),
+            detector_charts.distortion_map('Estimated', pixels, after)]
     if calibration.truth is not None:
         true = _camera(calibration.truth)
-        charts += [
+        maps += [
             detector_charts.distortion_map('Nominal − truth', pixels, before, true),
             detector_charts.distortion_map('Estimate − truth', pixels, after, true)]
-    return _section(
+    return section(
         'distortion', 'Distortion',
-        _paragraph('How far the lens moves the image of a star from where a pinhole camera has '
-                   'it, before and after the calibration. Each map has its own scale.'),
-        _charts(charts))
+        paragraph('How far the lens moves the image of a star from where a pinhole camera has '
+                  'it, before and after the calibration. Each map has its own scale.'),
+        charts(maps))
 
 
 def _coupling(calibration: Calibration) -> str:
     verdict = calibration.verdict
     sigma = calibration.outcome['intrinsics_sigma']
     u, v = verdict.equivalent_sigma_px
-    return _section(
+    return section(
         'coupling', 'Coupling',
-        _paragraph('Principal point and fixed angles move the stars almost alike (T18 Sec. 3.4). '
-                   'Their common effect, the equivalent principal point, is known long before '
-                   f'them: sigma {u:.2g}, {v:.2g} px, of u0 and v0 {sigma["u0_px"]:.2g}, '
-                   f'{sigma["v0_px"]:.2g} px. The attitude is counted in star tracker axes.'),
-        _charts([detector_charts.correlation(tuple(_LABEL[name] for name in NAMES),
-                                             verdict.correlation),
-                 *time_charts.equivalent_principal_point(
+        paragraph('Principal point and fixed angles move the stars almost alike (T18 Sec. 3.4). '
+                  'Their common effect, the equivalent principal point, is known long before '
+                  f'them: sigma {u:.2g}, {v:.2g} px, of u0 and v0 {sigma["u0_px"]:.2g}, '
+                  f'{sigma["v0_px"]:.2g} px. The attitude is counted in star tracker axes.'),
+        charts([detector_charts.correlation(tuple(_LABEL[name] for name in NAMES),
+                                            verdict.correlation),
+                *time_charts.equivalent_principal_point(
                      calibration.history, calibration.truth,
                      calibration.scenario.camera.pixel_pitch_mm)]))
 
 
 def _counts(calibration: Calibration) -> str:
     counts = calibration.outcome['counts']
-    return _section(
+    return section(
         'counts', 'Counts and notices',
-        _table([], [[name.replace('_', ' '), str(value)] for name, value in counts.items()]),
-        _list(calibration.notices) if calibration.notices else _paragraph('No notices.'))
+        table([], [[name.replace('_', ' '), str(value)] for name, value in counts.items()]),
+        items(calibration.notices) if calibration.notices else paragraph('No notices.'))
 
 
 def _provenance(calibration: Calibration) -> str:
     provenance = calibration.outcome['provenance']
-    return _section(
+    return section(
         'provenance', 'Provenance',
-        _table([], [[name.replace('_', ' '), str(value)] for name, value in provenance.items()]),
+        table([], [[name.replace('_', ' '), str(value)] for name, value in provenance.items()]),
         '<details><summary>Configuration</summary>'
         f'<pre>{escape(parameter_file.dump(calibration.scenario))}</pre></details>')
 

@@ -67,6 +67,8 @@ def _draw(figure: Any, axis: Any, panel: Panel) -> None:
     axis.tick_params(labelsize=8)
     for name in panel.log:
         getattr(axis, f'set_{name}scale')('log')
+    if panel.y_limits is not None:
+        axis.set_ylim(panel.y_limits)
     if panel.field is None:
         axis.grid(alpha=0.3)
     if any(curve.label for curve in panel.curves):

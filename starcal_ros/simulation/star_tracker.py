@@ -15,23 +15,18 @@ its noise, `misidentification` and then `hot_pixels` work on the finished frame.
 
 from __future__ import annotations
 
-import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import camera, sky
 from starcal_ros.catalog import Catalog
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames
-from starcal_ros.scenario import observer
 from starcal_ros.simulation import smear
 from starcal_ros.simulation.hot_pixels import HotPixels
 from starcal_ros.simulation.misidentification import Misidentification
+from starcal_ros.simulation.star_view import StarView
 from starcal_ros.simulation.truth import Truth
 
-Array = NDArray[np.float64]
-
-_MARGIN = 1e-3          # rad, more than aberration and proper motion move a star
 _BATCH = 500            # frames whose stars are searched at once: 20 MB
 
 
@@ -60,19 +55,22 @@ class StarTrackerSimulator:
         if errors.centroid_sigma_px is not None:
             self._sigma = errors.centroid_sigma_px
         self._late_ns = round(errors.time_offset_s * 1e9)
-        self._instants_ns = smear.instants_ns(tracker.exposure_s) if errors.smear else None
+        self._smear = errors.smear
         self._stars = stars.brighter_than(tracker.limiting_magnitude)
-        self._direction = erfa.s2c(self._stars.ra, self._stars.dec)
-        self._observer = observer(scenario.observer, scenario.truth.observer)
+        self._view = StarView(scenario, truth, self._stars)
         self._misidentification = (Misidentification(scenario, self._stars)
                                    if errors.misidentified_fraction else None)
         self._hot_pixels = HotPixels(scenario) if errors.hot_pixels_per_frame else None
-        self.truth = truth
         self._rng = rng
-        half = truth.detector.pitch_mm * np.hypot(truth.detector.width, truth.detector.height) / 2
-        offset = np.hypot(*truth.intrinsics[:2]) * truth.detector.pitch_mm
-        # 1.1: the distortion may draw in stars from outside the pinhole field
-        self._cos_radius = np.cos(np.arctan2(1.1 * half + offset, truth.intrinsics[2]) + _MARGIN)
+
+    @property
+    def truth(self) -> Truth:
+        """Camera, mounting and attitude; may be another one for the next frames."""
+        return self._view.truth
+
+    @truth.setter
+    def truth(self, truth: Truth) -> None:
+        self._view.truth = truth
 
     def stamp_ns(self, index: np.typing.ArrayLike) -> NDArray[np.int64]:
         """Return the stamp of the frame with an index from 0: the middle of its exposure."""
@@ -89,20 +87,16 @@ class StarTrackerSimulator:
 
     def _observe(self, stamps_ns: NDArray[np.int64]) -> Frames:
         middle_ns = stamps_ns - self._late_ns
-        C_si = self.truth.attitude_si(middle_ns)
-        near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
-        frame, star = np.nonzero(near)
-        u_i = sky.apparent_places(self._stars, star, middle_ns, near.sum(axis=1), self._observer)
-        uv, trail = self._image(C_si, frame, u_i), None
-        if self._instants_ns:
-            trail = np.stack([
-                self._image(self.truth.attitude_si(middle_ns + instant), frame, u_i)
-                for instant in self._instants_ns])
+        frame, star, u_i = self._view.near(middle_ns)
+        if self._smear:
+            trail = self._view.trail(middle_ns, frame, u_i)
             uv = smear.centroid(trail)
+        else:
+            uv = self._view.at(middle_ns, frame, u_i)
         seen = self.truth.detector.contains(uv)
         frame, star, uv = frame[seen], star[seen], uv[seen]
         noise = self._rng.standard_normal(uv.shape)
-        if trail is not None:
+        if self._smear:
             noise = (smear.noise_factor(trail[:, seen]) @ noise[..., None])[..., 0]
         uv = uv + self._sigma * noise
         counts = np.bincount(frame, minlength=len(stamps_ns))
@@ -113,8 +107,3 @@ class StarTrackerSimulator:
         if self._misidentification:
             frames = self._misidentification.confuse(frames)
         return self._hot_pixels.add(frames) if self._hot_pixels else frames
-
-    def _image(self, C_si: Array, frame: NDArray[np.int64], u_i: Array) -> Array:
-        """Return where the stars (n, 3) of some frames are at the attitudes (n_frames, 3, 3)."""
-        r_s = (C_si[frame] @ u_i[..., None])[..., 0]
-        return camera.project(r_s, self.truth.intrinsics, self.truth.detector.pitch_mm)

@@ -17,6 +17,7 @@ import pkgutil
 from typing import Protocol, cast
 
 from starcal_ros.config import Scenario
+from starcal_ros.evaluation import consistency
 from starcal_ros.evaluation.outcome import Outcome
 
 
@@ -42,6 +43,13 @@ def names() -> list[str]:
 def load(name: str) -> Study:
     """Return the module that reproduces a table or figure."""
     return cast(Study, import_module(f'{__name__}.{name.replace("-", "_")}'))
+
+
+def chance(runs: int) -> str:
+    """Say how far a ratio may be from 1."""
+    low, high = consistency.rms_interval(runs, 0.95)
+    return (f'ratio: RMS over bound; of an efficient filter it lies between {low:.2f} and '
+            f'{high:.2f} in 95 % of all sets of {runs} independent errors.')
 
 
 NOT_STATED = ('T18 states neither slew rate, dwell nor stars a frame; ours are those of the '

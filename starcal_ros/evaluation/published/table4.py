@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import CALIBRATED, STATE_NAMES, STATE_UNITS
-from starcal_ros.evaluation import montecarlo
+from starcal_ros.evaluation import consistency, montecarlo
 from starcal_ros.evaluation.montecarlo import Study
 from starcal_ros.evaluation.outcome import Outcome
-from starcal_ros.evaluation.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED
+from starcal_ros.evaluation.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED, chance
 
 RUNS = 100
 KEY, VALUES = 'star_tracker.centroid_sigma_px', (0.0, 0.05, 0.10, 0.15, 0.20)
@@ -31,9 +32,10 @@ PAPER = {
     'p1': (3.1e-7, 3.7e-7, 4.8e-7, 6.3e-7, 8.7e-7),
     'p2': (2.9e-7, 3.4e-7, 4.8e-7, 6.3e-7, 9.4e-7),
 }
-NOISELESS = ('Centroids without noise are weighted as if of 1e-4 px: the filter needs some, and '
-             'the bound is that of this weight. What is left at 0 px is then no noise but what '
-             'the linear model leaves out.')
+NOISELESS = (
+    'Centroids without noise are weighted as if of 1e-4 px: the filter needs some, and the bound '
+    'is that of this weight; NEES and NIS are as low as they are for that reason. What is left of '
+    'the camera at 0 px is no noise but what the linear model leaves out.')
 
 
 def reproduce(scenario: Scenario, runs: int, work: Path,
@@ -47,11 +49,36 @@ def swept(title: str, study: Study, paper: Mapping[str, tuple[float, ...]], note
           work: Path, on_progress: Callable[[float], None]) -> Outcome:
     """Run a study and put its numbers beside those of a paper, given by state."""
     results = montecarlo.run(study, work, on_progress=on_progress)
-    points = [montecarlo.summarize(study.at(value), runs)['states']
+    points = [montecarlo.summarize(study.at(value), runs)
               for value, runs in zip(study.values, results)]
     units = dict(zip(STATE_NAMES, STATE_UNITS))
-    return Outcome(title, BESIDE, tuple(
-        (f'{study.key} = {value:g}', name, units[name], paper[name][k], point[name]['rms'],
-         point[name]['bound'], point[name]['ratio'])
+    rows = tuple(
+        (f'{study.key} = {value:g}', name, units[name], paper[name][k],
+         *(point['states'][name][key] for key in ('rms', 'bound', 'ratio')))
         for k, (value, point) in enumerate(zip(study.values, points))
-        for name in STATE_NAMES[CALIBRATED]), notes)
+        for name in STATE_NAMES[CALIBRATED])
+    return Outcome(title, BESIDE, rows,
+                   (*notes, _below(study, points, paper), chance(study.runs), _consistent(points)))
+
+
+def _below(study: Study, points: Sequence[Mapping[str, Any]],
+           paper: Mapping[str, tuple[float, ...]]) -> str:
+    """Say where a paper's RMS is below the bound by more than the chance of its runs."""
+    least = consistency.rms_interval(RUNS, 0.999).low
+    where = []
+    for name in STATE_NAMES[CALIBRATED]:
+        values = [f'{value:g}' for k, value in enumerate(study.values)
+                  if paper[name][k] < least * points[k]['states'][name]['bound']]
+        where += [f'{name} at {", ".join(values)}'] if values else []
+    return (f'T18 is below {least:.2f} of the bound of our scenario, which chance lets a set of '
+            f'{RUNS} runs be in one of 2000, ' + (
+                f'in: {"; ".join(where)}.' if where else 'nowhere.'))
+
+
+def _consistent(points: Sequence[Mapping[str, Any]]) -> str:
+    """Say what NEES and NIS of each column are."""
+    nees, nis = (', '.join(f'{point[f"{name}_mean"]:.{digits}f}' for point in points)
+                 for name, digits in (('nees', 2), ('nis', 4)))
+    low, high = points[0]['nees_interval_95']
+    return (f'Mean NEES of the columns: {nees} (16 states, 95 %: {low:.2f} to {high:.2f}); NIS '
+            f'over its degrees of freedom: {nis}.')

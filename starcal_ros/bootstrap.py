@@ -1,0 +1,194 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From a camera known to a tenth, and stars without names, to the 16 states.
+
+Each step begins with what the last one knows, and none sees a frame that an earlier one has
+learnt from: what the covariances promise stays true. The recording is divided accordingly ::
+
+    first quarter    self-calibration of the tracked spots: interstar (S24, SCWC) for the pinhole,
+                     then the bundle of the same spots, with distortion, from there
+    second quarter   identification, then angular distances (W19, fully weighted)
+    second half      identification, then the 16-state filter (T18)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import calibration, preintegration
+from starcal_ros.calibration import predicted_centroid
+from starcal_ros.camera_estimate import CameraEstimate, beginning
+from starcal_ros.config import Scenario
+from starcal_ros.estimator import LENS
+from starcal_ros.imaging.camera_guess import CameraGuess
+from starcal_ros.imaging.identify import Identifier
+from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.result import CalibrationError, no_attitude
+from starcal_ros.scenario import detector, mounting_matrix, observer
+from starcal_ros.stream import Stream
+from starcal_ros.units import DEG_PER_HOUR
+
+Array = NDArray[np.float64]
+
+FOCAL_ERROR = 0.1
+"""Part of the focal length by which the nominal one may be wrong."""
+
+
+class Step(NamedTuple):
+    """What one step of the chain gave.
+
+    Attributes
+    ----------
+    name : str
+    camera : CameraEstimate
+        After the step.
+    """
+
+    name: str
+    camera: CameraEstimate
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What came of a recording.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        In order, the first what is known beforehand.
+    frames : Frames
+        Those of the second quarter and the second half, with the numbers found.
+    stream : Stream
+        The filter after the last frame.
+    notices : tuple of str
+        What a user should know.
+    """
+
+    steps: tuple[Step, ...]
+    frames: Frames
+    stream: Stream
+    notices: tuple[str, ...]
+
+
+def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
+              on_progress: Callable[[float], None] = lambda part: None) -> Chain:
+    """Calibrate a recording whose stars bear no numbers.
+
+    Parameters
+    ----------
+    gyro : GyroSamples
+        All samples, in the order of recording.
+    frames : Frames
+        All frames; numbers of stars in them are ignored.
+    scenario : Scenario
+        The nominal focal length may be wrong by FOCAL_ERROR.
+    on_progress : callable
+        Called with the part done, 0 to 1.
+
+    Raises
+    ------
+    CalibrationError
+        Where a step gives nothing to go on with.
+    """
+    frames = replace(frames, catalog_id=np.zeros_like(frames.catalog_id))
+    n = len(frames)
+    first, second, rest = frames[:n // 4], frames[n // 4:n // 2], frames[n // 2:]
+    scenario = scenario.replace({'estimator.initial_sigma.focal_length_mm':
+                                 FOCAL_ERROR * scenario.camera.focal_length_mm})
+    steps = [Step('nominal', beginning(scenario))]
+    notices: list[str] = []
+
+    def step(name: str, part: Frames, known: CameraEstimate, **options: object) -> CameraEstimate:
+        begun = calibration.start(scenario.replace({
+            f'intrinsics.{key}': value for key, value in options.items()}), known)
+        begun.add_gyro(gyro)
+        begun.add_frames(part)
+        found = begun.estimate()
+        notices.extend(f'{name}: {text}' for text in begun.take_notices())
+        if found is None:
+            raise CalibrationError(f'{name}: no camera from {len(part)} frames with '
+                                   f'{len(part.catalog_id)} stars')
+        steps.append(Step(name, found))
+        return found
+
+    pinhole = step('self-calibration', first, steps[0].camera, method='interstar',
+                   interstar_equations='SCWC', estimate=('u0', 'v0', 'f'))
+    on_progress(0.15)
+    # The same frames again: begun there, but not believed a second time.
+    free = replace(steps[0].camera, intrinsics=pinhole.intrinsics)
+    camera = step('bundle of the spots', first, free, method='bundle')
+    on_progress(0.25)
+    numbered = identify(gyro, Frames.concatenate((second, rest)), camera, scenario,
+                        lambda part: on_progress(0.25 + 0.45 * part))
+    camera = step('angular distances', numbered[:len(second)], camera,
+                  method='angular_distance', weighting='full')
+    on_progress(0.75)
+    stream = predicted_centroid.begin(scenario, camera)
+    stream.add_gyro(gyro)
+    stream.add_frames(numbered[len(second):])
+    for _ in stream.process():
+        pass
+    belief = stream.belief
+    if belief is None:
+        raise CalibrationError(no_attitude(stream))
+    steps.append(Step('16 states', CameraEstimate(
+        belief.estimate.intrinsics, belief.covariance[LENS, LENS], stream.counts.frames,
+        stream.counts.stars)))
+    notices += [f'16 states: {text}' for text in stream.take_notices()]
+    on_progress(1.0)
+    return Chain(tuple(steps), numbered, stream, tuple(notices))
+
+
+def identify(gyro: GyroSamples, frames: Frames, camera: CameraEstimate, scenario: Scenario,
+             on_progress: Callable[[float], None] = lambda part: None) -> Frames:
+    """Return the frames with the numbers of their stars, 0 where one can not be told.
+
+    Parameters
+    ----------
+    gyro : GyroSamples
+        They carry the attitude from frame to frame.
+    frames : Frames
+        With increasing stamps.
+    camera : CameraEstimate
+        As far as it is known.
+    scenario : Scenario
+        Mounting, bias, observer.
+    on_progress : callable
+        Called with the part done, 0 to 1.
+    """
+    identifier = Identifier(CameraGuess(detector(scenario.camera), camera.intrinsics,
+                                        camera.covariance), observer(scenario.observer))
+    turns = _turns(gyro, frames, scenario)
+    catalog_id = np.zeros_like(frames.catalog_id)
+    for k, (stamp_ns, turn) in enumerate(zip(frames.stamp_ns.tolist(), turns)):
+        rows = slice(frames.first[k], frames.first[k + 1])
+        found = identifier.identify(frames.uv_raster[rows], -frames.magnitude[rows], stamp_ns,
+                                    turn, frames.sigma[rows])
+        if found is not None:
+            catalog_id[rows] = found.catalog_id
+        if k % 100 == 0:
+            on_progress(k / len(frames))
+    return replace(frames, catalog_id=catalog_id)
+
+
+def _turns(gyro: GyroSamples, frames: Frames, scenario: Scenario) -> list[Array | None]:
+    """Return how the star tracker turned up to each frame from the one before, C_s1s0."""
+    turns: list[Array | None] = [None] * len(frames)
+    if not len(gyro):
+        return turns
+    C_sg = mounting_matrix(scenario.mounting)
+    covered = np.flatnonzero((frames.stamp_ns >= gyro.stamp_ns[0])
+                             & (frames.stamp_ns <= gyro.stamp_ns[-1]))
+    if len(covered) < 2:
+        return turns
+    pieces = preintegration.preintegrate(
+        gyro, frames.stamp_ns[covered], np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
+        1e9 / scenario.gyro.rate_hz)
+    for k, Delta in zip(covered[1:].tolist(), pieces.Delta):
+        turns[k] = C_sg @ Delta @ C_sg.T
+    return turns

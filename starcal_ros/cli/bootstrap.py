@@ -1,0 +1,57 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal bootstrap``: from a camera known to a tenth and nameless stars to the 16 states."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from starcal_ros.cli import arguments
+from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.parameter import ConfigError
+
+SUMMARY = 'calibrate without knowing camera or stars'
+DESCRIPTION = ('Calibrate a recording of which only the focal length is known, to a tenth, and no '
+               'star by its number (numbers in the recording are ignored): self-calibration, '
+               'identification, angular distances, the 16-state filter, each from what the last '
+               'one found, on frames of its own. Needs the extra identify.')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    arguments.add_bag(parser)
+    arguments.add_config(parser)
+    parser.add_argument('--out', metavar='RESULT.json',
+                        help='the result of the filter, with the camera after each step')
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    scenario = arguments.scenario(options)
+    out = Path(options.out) if options.out else None
+    if out is not None:
+        arguments.require_writable(out)
+    from starcal_ros import record, report, result
+    try:
+        from starcal_ros.bootstrap import bootstrap
+        with progress('reading') as on_progress:
+            recording = record.read(options.bag, on_progress)
+        with progress('bootstrap') as on_progress:
+            chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
+    except ImportError as error:
+        raise ConfigError(str(error)) from None
+    for text in (*recording.warnings, *chain.notices):
+        say(f'warning: {text}')
+    outcome = result.result(chain.stream, result.provenance(scenario, recording))
+    outcome['steps'] = [{'step': step.name, **result.camera(step.camera)}
+                        for step in chain.steps]
+    attached = recording.attachments.get(record.TRUTH_ATTACHMENT)
+    truth = json.loads(attached) if attached else None
+    show(report.chain(outcome['steps'], truth, f'Bootstrap of {options.bag}'))
+    stars = chain.frames.catalog_id
+    show(f'{(stars > 0).sum()} of {len(stars)} spots identified. {report.summary(outcome)}')
+    if out is not None:
+        result.write_json(out, outcome)
+    return 0

@@ -1,0 +1,23 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal watch``: the running estimator in the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+SUMMARY = 'watch the running estimator'
+DESCRIPTION = ('Show what the running estimator says: the verdict, each state with its sigma and '
+               'tolerance, rates, counts and a map of the stars. Ctrl-C ends it.')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes: nothing."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from starcal_ros.demo import node_command
+    command = node_command('watch', {})
+    os.execv(command[0], command)       # so that Ctrl-C and the status are the node's own

@@ -1,0 +1,122 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Images from files: PNG, TIFF, JPEG through Pillow, FITS through astropy.
+
+Colour becomes luminance (ITU-R BT.601), saturated where any of its channels is. The first row is
+the top one, as a viewer shows it: FITS counts rows from the bottom unless its header has a
+ROWORDER of TOP-DOWN.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+FITS_SUFFIXES = ('.fits', '.fit', '.fts')
+SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', *FITS_SUFFIXES)
+
+_LUMINANCE = np.array([0.299, 0.587, 0.114])
+
+
+class ImageFileError(ValueError):
+    """A file is no image that can be used; the message names it."""
+
+
+class Picture(NamedTuple):
+    """An image.
+
+    Attributes
+    ----------
+    counts : (height, width) float32 array
+        Top row first.
+    saturation : float
+        Counts from which a pixel is saturated; infinite where the file does not tell.
+    """
+
+    counts: NDArray[np.float32]
+    saturation: float
+
+
+def image_files(folder: str | PathLike[str]) -> list[Path]:
+    """Return the images of a folder, in the order of their names.
+
+    Raises
+    ------
+    ImageFileError
+        Where it is no folder or holds no image.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ImageFileError(f'{folder}: a folder of images expected')
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    if not files:
+        raise ImageFileError(f'{folder}: no image in it; one of {", ".join(SUFFIXES)} expected')
+    return files
+
+
+def load(path: str | PathLike[str]) -> Picture:
+    """Read an image.
+
+    Raises
+    ------
+    ImageFileError
+        Where the file is missing, damaged, or no single image of one to four channels.
+    """
+    path = Path(path)
+    is_fits = path.suffix.lower() in FITS_SUFFIXES
+    try:
+        pixels, saturation = _read_fits(path) if is_fits else _read_picture(path)
+    except (OSError, ValueError, SyntaxError) as error:     # what Pillow and astropy raise
+        raise ImageFileError(f'{path}: {error}') from None
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    if pixels.ndim not in (2, 3) or channels > 4 or not pixels.size:
+        raise ImageFileError(f'{path}: pixels of shape {pixels.shape}; one image expected, '
+                             'grey or with colours')
+    counts = pixels.astype(np.float32)
+    if channels > 1:
+        colour = counts[..., :3] if channels > 2 else counts[..., :1]      # without alpha
+        full = colour.max(axis=-1) >= saturation
+        counts = (colour @ _LUMINANCE[:colour.shape[-1]].astype(np.float32)
+                  if channels > 2 else colour[..., 0])
+        counts[full] = saturation
+    elif pixels.ndim == 3:
+        counts = counts[..., 0]
+    if not np.isfinite(counts).all():
+        raise ImageFileError(f'{path}: {np.sum(~np.isfinite(counts))} pixels are not numbers')
+    return Picture(counts, saturation)
+
+
+def _read_picture(path: Path) -> tuple[NDArray[Any], float]:
+    with Image.open(path) as picture:
+        coded = picture.mode in ('P', 'CMYK', 'YCbCr', 'LAB', 'HSV')
+        pixels = np.asarray(picture.convert('RGB') if coded else picture)
+        if picture.mode == 'I':             # Pillow reads 16 bits of some formats into 32
+            return pixels, 65535.0
+    return pixels, top(pixels.dtype)
+
+
+def _read_fits(path: Path) -> tuple[NDArray[Any], float]:
+    from astropy.io import fits     # here, because it takes a quarter of a second
+    with fits.open(path) as units:
+        for unit in units:
+            if unit.is_image and unit.data is not None:
+                header, pixels = unit.header, np.array(unit.data)
+                break
+        else:
+            raise ValueError('no image in it')
+    saturation = float(header.get('SATURATE', top(pixels.dtype)))
+    if pixels.ndim == 3:
+        pixels = np.moveaxis(pixels, 0, -1)     # planes of colour
+    if str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper() != 'TOP-DOWN':
+        pixels = pixels[::-1]
+    return pixels, saturation
+
+
+def top(kind: np.dtype[Any]) -> float:
+    """Return the largest count of a type of pixels; infinite where they are not whole."""
+    return float(np.iinfo(kind).max) if np.issubdtype(kind, np.integer) else np.inf

@@ -1,0 +1,43 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Several nodes of the suite in one process: `composed estimator recorder --ros-args ...`.
+
+rclpy has no component containers. A program of your own does the same with any executor: the
+node classes take what rclpy's Node takes, and none waits in a callback for another.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+import sys
+
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+from starcal_ros.nodes import runtime
+
+NODES = ('recorder', 'watch', 'estimator', 'intrinsics_estimator', 'player',
+         'star_tracker_sim', 'gyro_sim')
+"""In the order in which they are created: who listens before who speaks, to miss nothing."""
+
+
+def node_class(name: str) -> type[Node]:
+    """Return the class of a node: that of star_tracker_sim is StarTrackerSim."""
+    module = import_module(f'starcal_ros.nodes.{name}')
+    found: type[Node] = getattr(module, ''.join(map(str.capitalize, name.split('_'))))
+    return found
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the nodes that the command line names."""
+    names = remove_ros_args(sys.argv if args is None else args)[1:]
+    wrong = [name for name in names if name not in NODES]
+    if wrong or not names:
+        print(f'error: got {", ".join(wrong) or "no node"}, needs one or more of '
+              f'{", ".join(NODES)}', file=sys.stderr)
+        return runtime.STATUS_USAGE
+    return runtime.run_together([node_class(name) for name in NODES if name in names], args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

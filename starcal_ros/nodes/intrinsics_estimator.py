@@ -1,0 +1,109 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `intrinsics_estimator`: star centroids in, the camera out, by any method, no attitude.
+
+It asks its method for the camera once a second, or less often where the answer takes long, and
+once more at the end.
+"""
+
+from __future__ import annotations
+
+import sys
+from time import perf_counter
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
+from std_msgs.msg import Float64MultiArray
+
+from starcal_ros import calibration, cdr, cdr_cloud
+from starcal_ros.measurements import Frames
+from starcal_ros.nodes import messages, runtime
+from starcal_ros.nodes.flow import FlowPublisher, MatchedSubscription, drain
+from starcal_ros.nodes.inputs import decoded
+from starcal_ros.nodes.managed import ManagedNode
+from starcal_ros.scenario import detector
+
+_PERIOD_S = 1.0
+_SHARE = 0.2            # of the time that may go into answers
+_DRAIN_S = 6.0
+
+
+class IntrinsicsEstimator(ManagedNode):
+    """Feed a `CameraMethod` from two topics and publish its camera."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('intrinsics_estimator', 'camera', 'mounting', 'gyro', 'star_tracker',
+                         'observer', 'estimator', 'intrinsics', **options)
+        self.start()
+
+    def configure(self) -> None:
+        """Prepare the calibration and its publishers."""
+        self._method = calibration.start(self.scenario)
+        self._detector = detector(self.scenario.camera)
+        self._stamp_ns, self._dirty, self._not_before = 0, False, 0.0
+        self._camera = FlowPublisher(self, CameraInfo, 'starcal/intrinsics/camera_info',
+                                     latched=True)
+        self._state = FlowPublisher(self, Float64MultiArray, 'starcal/intrinsics/state',
+                                    latched=True)
+
+    def activate(self) -> None:
+        """Listen to the sensors."""
+        self._inputs = [
+            MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
+            MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
+                                raw=True)]
+        self._timer = runtime.steady_timer(self, _PERIOD_S, self._answer_in_time)
+
+    def deactivate(self) -> None:
+        """Use up what has arrived and give the last answer."""
+        self.destroy_timer(self._timer)
+        for subscription in self._inputs:
+            subscription.take_all()
+            subscription.destroy()
+        self._answer()
+
+    def cleanup(self) -> None:
+        """Deliver the results and forget the calibration."""
+        drain([self._camera, self._state], _DRAIN_S)
+        for publisher in (self._camera, self._state):
+            publisher.destroy()
+
+    def _on_gyro(self, batch: list[bytes]) -> None:
+        for part in decoded(batch, cdr.decode_imu, self.get_logger().error):
+            self._method.add_gyro(part)
+
+    def _on_frames(self, batch: list[bytes]) -> None:
+        for part in decoded(batch, cdr_cloud.decode_centroids, self.get_logger().error):
+            self._add(part)
+
+    def _add(self, frames: Frames) -> None:
+        self._method.add_frames(frames)
+        if len(frames):
+            self._stamp_ns, self._dirty = int(frames.stamp_ns[-1]), True
+
+    def _answer_in_time(self) -> None:
+        if perf_counter() >= self._not_before:
+            self._answer()
+
+    def _answer(self) -> None:
+        if not self._dirty:
+            return
+        self._dirty, begun = False, perf_counter()
+        estimate = self._method.estimate()
+        for text in self._method.take_notices():
+            self.get_logger().warning(text)
+        if estimate is not None:
+            self._camera.publish(messages.camera_info(
+                self._stamp_ns, estimate.intrinsics, self._detector))
+            self._state.publish(messages.intrinsics(self._stamp_ns, estimate))
+        ended = perf_counter()
+        self._not_before = ended + (ended - begun) * (1.0 / _SHARE - 1.0)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return runtime.run(IntrinsicsEstimator, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,77 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A camera that was calibrated alone, as a table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from starcal_ros.camera import INTRINSICS_KEYS
+from starcal_ros.report.states import LABELS, UNITS, Row, short
+
+_LEFT = ('state', 'unit')
+
+
+def camera(result: dict[str, Any], truth: dict[str, Any] | None, title: str) -> Table:
+    """Return the camera of a recording, against a truth.json where there is one."""
+    columns = ('state', 'unit', 'truth', 'estimate', 'error', 'sigma', 'error/sigma')
+    out = _table(title, columns if truth else ('state', 'unit', 'estimate', 'sigma'))
+    out.caption = '{frames} frames, {stars} stars used'.format(**result['counts'])
+    for label, unit, key in zip(LABELS[6:], UNITS[6:], INTRINSICS_KEYS):
+        value, sigma = result['intrinsics'][key], result['intrinsics_sigma'][key]
+        true = truth['intrinsics'][key] if truth else np.nan
+        row = Row(label, unit, true, value, value - true, sigma)
+        held = sigma == 0.0
+        cells = [row.places(value), 'held' if held else short(sigma)]
+        if truth:
+            cells = [row.places(true), cells[0], short(row.error), cells[1],
+                     '' if held else f'{row.error / sigma:+.2f}']
+        out.add_row(label, unit, *cells)
+    return out
+
+
+def chain(steps: list[dict[str, Any]], truth: dict[str, Any] | None, title: str) -> Table:
+    """Return the camera after each step: its error where the truth is known, and its sigma."""
+    out = _table(title, ('state', 'unit', *(f'{step["step"]}' for step in steps)))
+    out.caption = ('error ± sigma' if truth else 'estimate ± sigma') + ' after each step'
+    for label, unit, key in zip(LABELS[6:], UNITS[6:], INTRINSICS_KEYS):
+        cells = []
+        for step in steps:
+            value, sigma = step['intrinsics'][key], step['intrinsics_sigma'][key]
+            shown = short(value - truth['intrinsics'][key]) if truth else Row(
+                label, unit, np.nan, value, np.nan, sigma).places(value)
+            cells.append(f'{shown} ± {short(sigma)}' if sigma else f'{shown} held')
+        out.add_row(label, unit, *cells)
+    out.add_row('frames', '', *(str(step['counts']['frames']) for step in steps))
+    return out
+
+
+def plates(result: dict[str, Any], title: str) -> Table:
+    """Return the camera of still images in OpenCV's model, with the residuals that it leaves."""
+    out = _table(title, ('parameter', 'unit', 'estimate', 'sigma'))
+    counts, heldout = result['counts'], result['heldout_rms_px']
+    out.caption = (
+        f'{counts["images"]} images, {counts["stars"]} stars used, {counts["refused_stars"]} '
+        f'refused; residual of an axis {result["fit_rms_px"]:.4f} px'
+        + ('' if heldout is None else f', {heldout:.4f} px on held-out images'))
+    for key in result['parameters']:
+        out.add_row(*entry(result, key))
+    return out
+
+
+def entry(result: dict[str, Any], key: str) -> list[str]:
+    """Return parameter, unit, estimate and sigma of the camera of still images, as text."""
+    name, _, unit = key.partition('_')
+    row = Row(name, unit, np.nan, result[key], np.nan, result['sigma'][key])
+    return [name, unit, row.places(row.estimate), short(row.sigma) if row.sigma else 'held']
+
+
+def _table(title: str, columns: tuple[str, ...]) -> Table:
+    out = Table(title=title)
+    for column in columns:
+        out.add_column(column, justify='left' if column in (*_LEFT, 'parameter') else 'right',
+                       no_wrap=True)
+    return out

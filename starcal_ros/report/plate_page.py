@@ -1,0 +1,102 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a camera calibrated with still images: one page of HTML."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from starcal_ros import parameter_file
+from starcal_ros.calibration.predicted_centroid import Residuals
+from starcal_ros.plates import KEYS, PlateCamera, Refit
+from starcal_ros.report import detector_charts
+from starcal_ros.report.cameras import entry
+from starcal_ros.report.markup import charts, document, items, paragraph, section, table
+from starcal_ros.scenario import detector
+
+
+def write_plate_page(path: str | Path, found: PlateCamera, outcome: dict[str, Any],
+                     notices: list[str]) -> None:
+    """Write the report of a camera.
+
+    Parameters
+    ----------
+    path : path
+        HTML file.
+    found : PlateCamera
+    outcome : dict
+        Its result as written, with ``method`` and ``source``.
+    notices : list of str
+        What a user should know.
+    """
+    Path(path).write_text(document(
+        f'Camera of {outcome["source"]}', _camera(outcome), *_images(found), _distortion(found),
+        _coupling(outcome), section(
+            'notices', 'Notices', items(notices) if notices else paragraph('No notices.'),
+            '<details><summary>Configuration</summary><pre>'
+            f'{escape(parameter_file.dump(found.scenario))}</pre></details>')), encoding='utf-8')
+
+
+def _camera(outcome: dict[str, Any]) -> str:
+    counts = outcome['counts']
+    return section(
+        'camera', 'Camera',
+        paragraph(f'{counts["images"]} images, {counts["stars"]} stars used, '
+                  f'{counts["refused_stars"]} refused; method {outcome["method"]}. OpenCV\'s '
+                  'forward model, (0, 0) the centre of the top-left pixel. A centroid has a sigma '
+                  f'of {outcome["centroid_sigma_px"]:.4f} px in each axis, from the residuals.'),
+        table(['parameter', 'unit', 'estimate', 'sigma'],
+              [entry(outcome, key) for key in outcome['parameters']]))
+
+
+def _images(found: PlateCamera) -> list[str]:
+    sections = [_residuals('fit', 'Images fitted', found.fit, found)]
+    if found.heldout is not None:
+        sections.append(_residuals('heldout', 'Images held out', found.heldout, found))
+    return sections
+
+
+def _residuals(name: str, title: str, refit: Refit, found: PlateCamera) -> str:
+    spots, adjusted = refit.spots, refit.adjusted
+    pixels = detector(found.scenario.camera)
+    stars = Residuals(spots.uv + pixels.centre_raster, adjusted.residual, adjusted.used,
+                      np.full(len(spots.frame), found.sigma_px))
+    rows = []
+    for k, image in enumerate(refit.names):
+        mine = adjusted.used & (spots.frame == k)
+        u, v = np.sqrt(np.mean(adjusted.residual[mine]**2, axis=0)) if mine.any() else (0.0, 0.0)
+        rows.append([image, str(mine.sum()), str((spots.frame == k).sum() - mine.sum()),
+                     f'{u:.4f}', f'{v:.4f}'])
+    return section(
+        name, title,
+        paragraph(f'Measured minus predicted centroid, the attitude of each image fitted and the '
+                  f'camera held: RMS {refit.rms_px:.4f} px an axis.'),
+        table(['image', 'stars', 'refused', 'RMS u [px]', 'RMS v [px]'], rows),
+        charts([detector_charts.residual_map(stars, pixels),
+                *detector_charts.residual_histograms(stars)]))
+
+
+def _distortion(found: PlateCamera) -> str:
+    return section(
+        'distortion', 'Distortion',
+        paragraph('How far the lens moves the image of a star from where a pinhole has it.'),
+        charts([detector_charts.distortion_map('Estimated', detector(found.scenario.camera),
+                                               found.estimate.intrinsics)]))
+
+
+def _coupling(outcome: dict[str, Any]) -> str:
+    covariance = np.array(outcome['covariance'])
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    free = sigma > 0.0
+    names = tuple(key.partition('_')[0] for key in np.array(KEYS)[free].tolist())
+    return section(
+        'coupling', 'Coupling',
+        paragraph('Parameters that are strongly correlated are known together, not one by one: '
+                  'the principal point with the tangential distortion, f with k1.'),
+        charts([detector_charts.correlation(
+            names, (covariance / np.outer(scale, scale))[np.ix_(free, free)])]))

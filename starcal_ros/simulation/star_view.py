@@ -1,0 +1,77 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the stars really are on the true detector, at one moment or while an exposure lasts."""
+
+from __future__ import annotations
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import camera, sky
+from starcal_ros.catalog import Catalog
+from starcal_ros.config import Scenario
+from starcal_ros.scenario import observer
+from starcal_ros.simulation import smear
+from starcal_ros.simulation.truth import Truth
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_MARGIN = 1e-3          # rad, more than aberration and proper motion move a star
+
+
+class StarView:
+    """The sky as the true camera sees it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Observer and exposure.
+    truth : Truth
+        Camera, mounting and attitude.
+    stars : Catalog
+        The stars that are there.
+    """
+
+    def __init__(self, scenario: Scenario, truth: Truth, stars: Catalog) -> None:
+        self.truth, self._stars = truth, stars
+        self._direction = erfa.s2c(stars.ra, stars.dec)
+        self._observer = observer(scenario.observer, scenario.truth.observer)
+        self._instants_ns = smear.instants_ns(scenario.star_tracker.exposure_s)
+        half = truth.detector.pitch_mm * np.hypot(truth.detector.width, truth.detector.height) / 2
+        offset = np.hypot(*truth.intrinsics[:2]) * truth.detector.pitch_mm
+        # 1.1: the distortion may draw in stars from outside the pinhole field
+        self._cos_radius = np.cos(np.arctan2(1.1 * half + offset, truth.intrinsics[2]) + _MARGIN)
+
+    def near(self, middle_ns: Rows) -> tuple[Rows, Rows, Array]:
+        """Return the stars about the lines of sight of some frames.
+
+        Parameters
+        ----------
+        middle_ns : (n_frames,) int64 array
+            Middle of each exposure, UTC since the Unix epoch.
+
+        Returns
+        -------
+        frame, star : (n,) int64 array
+            Row of the frame and of the star in the catalogue.
+        u_i : (n, 3) array
+            Apparent place in the middle of the exposure.
+        """
+        C_si = self.truth.attitude_si(middle_ns)
+        near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
+        frame, star = np.nonzero(near)
+        return frame, star, sky.apparent_places(self._stars, star, middle_ns, near.sum(axis=1),
+                                                self._observer)
+
+    def at(self, stamps_ns: Rows, frame: Rows, u_i: Array) -> Array:
+        """Return the images uv (n, 2) [px] of stars of some frames, each frame at its stamp."""
+        C_si = self.truth.attitude_si(stamps_ns)
+        r_s = (C_si[frame] @ u_i[..., None])[..., 0]
+        return camera.project(r_s, self.truth.intrinsics, self.truth.detector.pitch_mm)
+
+    def trail(self, middle_ns: Rows, frame: Rows, u_i: Array) -> Array:
+        """Return the images (5, n, 2) [px] at the instants of `smear` while the exposure lasts."""
+        return np.stack([self.at(middle_ns + instant, frame, u_i)
+                         for instant in self._instants_ns])

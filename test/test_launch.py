@@ -1,0 +1,131 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Launch files, with the few classes of launch and launch_ros that they use played by others.
+
+The real ones load them in test_package.py where they are installed.
+"""
+
+from pathlib import Path
+import runpy
+import sys
+from types import ModuleType
+
+import pytest
+
+from starcal_ros import config
+
+TOP = Path(__file__).parents[1]
+FILES = sorted((TOP / 'launch').glob('*.launch.py'))
+EXECUTABLES = {path.stem for path in (TOP / 'starcal_ros' / 'nodes').glob('*.py')}
+ROS_OWN = {'use_sim_time': bool}
+
+
+class Call:
+    """What was called, with which words."""
+
+    def __init__(self, *args, **kwargs):
+        self.args, self.kwargs = args, kwargs
+
+
+def classes(*names):
+    """Return classes that remember their arguments."""
+    return {name: type(name, (Call,), {}) for name in names}
+
+
+MODULES = {
+    'launch': classes('LaunchDescription'),
+    'launch.actions': classes('DeclareLaunchArgument', 'Shutdown'),
+    'launch.substitutions': classes('LaunchConfiguration', 'PathJoinSubstitution'),
+    'launch_ros': {},
+    'launch_ros.actions': classes('Node'),
+    'launch_ros.parameter_descriptions': classes('ParameterValue'),
+    'launch_ros.substitutions': classes('FindPackageShare'),
+}
+
+
+@pytest.fixture(params=FILES, ids=lambda path: path.name)
+def entities(request, monkeypatch):
+    """Return what a launch file describes."""
+    for name, members in MODULES.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+    description = runpy.run_path(str(request.param))['generate_launch_description']()
+    return description.args[0]
+
+
+def of(entities, name):
+    """Return the entities of a class."""
+    return [entity for entity in entities if type(entity).__name__ == name]
+
+
+def found(value, name):
+    """Yield the arguments of all calls of a class in what was given to another."""
+    if isinstance(value, Call):
+        if type(value).__name__ == name:
+            yield value
+        yield from found([value.args, value.kwargs], name)
+    elif isinstance(value, dict):
+        yield from found(list(value.values()), name)
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield from found(item, name)
+
+
+def test_every_argument_is_described_and_used_and_none_else(entities):
+    declared = of(entities, 'DeclareLaunchArgument')
+    names = [argument.args[0] for argument in declared]
+    used = {call.args[0] for call in found(of(entities, 'Node'), 'LaunchConfiguration')}
+    assert len(set(names)) == len(names) and set(names) == used
+    assert all(len(argument.kwargs['description']) > 10 for argument in declared)
+    assert 'namespace' in names and 'config' in names
+
+
+def test_nodes_are_executables_in_the_namespace(entities):
+    nodes = of(entities, 'Node')
+    for node in nodes:
+        assert node.kwargs['package'] == 'starcal_ros'
+        assert node.kwargs['executable'] in EXECUTABLES
+        assert node.kwargs['namespace'].args == ('namespace',)
+    assert 'estimator' in [node.kwargs['executable'] for node in nodes]
+
+
+def test_parameters_are_declared_ones_of_their_types(entities):
+    known = config.parameters()
+    for node in of(entities, 'Node'):
+        file, *given = node.kwargs['parameters']
+        assert file.args == ('config',)
+        for name, value in ((name, value) for values in given for name, value in values.items()):
+            kind = ROS_OWN.get(name) or known[name].element
+            if isinstance(value, Call):
+                assert value.kwargs['value_type'] is kind, name
+            else:
+                assert type(value) is kind, name
+
+
+def test_defaults_are_values_of_their_types(entities):
+    kinds = {call.args[0].args[0]: call.kwargs['value_type']
+             for call in found(of(entities, 'Node'), 'ParameterValue')}
+    for argument in of(entities, 'DeclareLaunchArgument'):
+        default, kind = argument.kwargs.get('default_value'), kinds.get(argument.args[0], str)
+        if isinstance(default, str):
+            assert kind is str or default in ('true', 'false') or kind(default) >= 0.0
+
+
+def test_transforms_stay_in_the_namespace(entities):
+    """Two estimators would else contradict each other about the same two frames."""
+    estimator, = (node for node in of(entities, 'Node')
+                  if node.kwargs['executable'] == 'estimator')
+    assert ('/tf_static', 'tf_static') in estimator.kwargs['remappings']
+
+
+def test_nothing_is_missed_at_the_beginning(entities):
+    """Who speaks waits for who listens."""
+    nodes = {node.kwargs['executable']: node for node in of(entities, 'Node')}
+    waits = {name: max((value for given in node.kwargs['parameters'][1:]
+                        for key, value in given.items() if key.endswith('wait_for_subscribers')),
+                       default=0) for name, node in nodes.items()}
+    listeners = len(nodes.keys() & {'estimator', 'recorder'})
+    for name in nodes.keys() & {'player', 'gyro_sim', 'star_tracker_sim'}:
+        assert waits[name] == listeners
+    assert waits['estimator'] == len(nodes.keys() & {'recorder'})
