@@ -144,9 +144,9 @@ def _fit(belief: Belief, stars: Stars, lens: Lens, measure: Measurement) -> tupl
     """Return the belief corrected with all stars, and by how much each of them misfits."""
     try:
         fitted, frame, away = _iterate(belief, stars, lens, measure)
+        return fitted, _misfit(frame, belief.root, away)
     except np.linalg.LinAlgError:
         return belief, np.full(len(stars.sigma), np.inf)
-    return fitted, _misfit(frame, belief.root, away)
 
 
 def _misfit(frame: Frame, root: Array, away: Array) -> Array:

@@ -124,9 +124,8 @@ def linearize(stars: Stars, parameters: Array, lens: Lens) -> Frame:
     r_s = stars.u_i @ np.swapaxes(align(stars.u_i, w_s, weight), -1, -2)
     uv, N, H = lens.linearize(r_s, parameters)
     N = N * weight[..., None]
-    both = np.empty((*H.shape[:-1], H.shape[-1] + 1))
-    both[..., 0] = (uv - stars.uv) * weight
-    both[..., 1:] = H * weight[..., None]
+    both = np.concatenate(((uv - stars.uv)[..., None], H), axis=-1)
+    both *= weight[..., None]
     both = both.reshape(*H.shape[:-3], -1, both.shape[-1])
     Q = np.linalg.qr(N.reshape(*both.shape[:-1], 3)).Q
     both -= Q @ (np.swapaxes(Q, -1, -2) @ both)

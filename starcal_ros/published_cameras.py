@@ -146,9 +146,10 @@ def linearize_w19(r_s: Array, parameters: Array, pitch_mm: float) -> tuple[Array
     uv, H_rotation, H_square = camera.linearize(r_s, _square(parameters), pitch_mm)
     aspect = _aspect(parameters)
     uv = uv / aspect
-    H = H_square @ _slope_of_square(parameters)[..., None, :, :]
+    H = _by_w19(H_square, parameters)
     H[..., 1, 0] -= uv[..., 1]
-    return uv, H_rotation / aspect[..., None], H / aspect[..., None]
+    aspect = aspect[..., None]
+    return uv, H_rotation / aspect, H / aspect
 
 
 def backproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float
@@ -167,7 +168,7 @@ def backproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float
     aspect = _aspect(parameters)
     w_s, dw_duv, dw_square = camera.backproject(
         uv_raster * aspect, _square(parameters), pitch_mm)
-    dw = dw_square @ _slope_of_square(parameters)[..., None, :, :]
+    dw = _by_w19(dw_square, parameters)
     dw[..., 0] += dw_duv[..., 1] * uv_raster[..., 1, None]
     return w_s, dw_duv * aspect[..., None, :], dw
 
@@ -188,12 +189,13 @@ def _square(parameters: Array) -> Array:
     return out
 
 
-def _slope_of_square(parameters: Array) -> Array:
-    """Return the derivative of `_square`, (..., 7, 6)."""
+def _by_w19(by_square: Array, parameters: Array) -> Array:
+    """Return derivatives (..., n, m, 6) from those by `_square`, (..., n, m, 7)."""
     s, f, _, v0, k1, k2 = (parameters[..., k] for k in range(6))
-    out = np.zeros((*parameters.shape[:-1], 7, 6))
-    out[..., 0, 2] = out[..., 2, 1] = 1.0
-    out[..., 1, 0], out[..., 1, 3] = v0, s
-    out[..., 3, 1], out[..., 3, 4] = -2.0 * k1 / f**3, 1.0 / f**2
-    out[..., 4, 1], out[..., 4, 5] = -4.0 * k2 / f**5, 1.0 / f**4
-    return out
+    slope = np.zeros((*parameters.shape[:-1], 7, 6))
+    slope[..., 0, 2] = slope[..., 2, 1] = 1.0
+    slope[..., 1, 0], slope[..., 1, 3] = v0, s
+    slope[..., 3, 1], slope[..., 3, 4] = -2.0 * k1 / f**3, 1.0 / f**2
+    slope[..., 4, 1], slope[..., 4, 5] = -4.0 * k2 / f**5, 1.0 / f**4
+    rows = by_square.reshape(*by_square.shape[:-3], -1, 7) @ slope
+    return rows.reshape(*rows.shape[:-2], *by_square.shape[-3:-1], 6)

@@ -46,6 +46,7 @@ from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from starcal_ros.attitude_free import AttitudeFree
 from starcal_ros.camera_estimate import CameraEstimate
@@ -144,15 +145,14 @@ def second_order(eigenvalues: Array, count: Array, variance: Array) -> Array:
     Parameters
     ----------
     eigenvalues : (..., 3) array
-        Squares of the singular values.
+        Squares of the singular values, not zero.
     count, variance : (...) array
         Number of stars, and the variance of a direction, each axis.
     """
     one, other = eigenvalues[..., :, None], eigenvalues[..., None, :]
-    with np.errstate(all='ignore'):
-        coupling = one * (one + other) / (one - other + _ITSELF)**2
-        factor = (count - 1.0)[..., None] + 2.0 * np.add.reduce(coupling, axis=-1)
-        return np.minimum((0.5 * variance**2)[..., None] * factor / eigenvalues, _NEVER)
+    coupling = one * (one + other) / ((one - other + _ITSELF)**2 + _LEAST**4)
+    factor = (count - 1.0)[..., None] + 2.0 * np.add.reduce(coupling, axis=-1)
+    return np.minimum((0.5 * variance**2)[..., None] * factor / eigenvalues, _NEVER)
 
 
 def measure(frame: Frame, model: int, chosen: tuple[int, ...], full: bool) -> Information:
@@ -192,8 +192,18 @@ def _weighted(both: Array, B: Array, beyond: Array, full: bool) -> Information:
     if full:
         S = B @ np.swapaxes(B, -1, -2)
         S.reshape(*beyond.shape[:-1], -1)[..., ::S.shape[-1] + 1] += beyond
-        weighted = np.linalg.solve(S, both)
+        weighted = _solved(S, both)
     else:
         weighted = both / (np.sum(B * B, axis=-1) + beyond)[..., None]
     both = np.swapaxes(both[..., 1:], -1, -2) @ weighted
     return Information(both[..., 1:], both[..., 0])
+
+
+def _solved(S: Array, b: Array) -> Array:
+    """Return S^-1 b of positive definite S; a single one takes LAPACK half of the time."""
+    if S.ndim > 2 or not len(S):
+        return np.asarray(np.linalg.solve(S, b), float)
+    _, solved, failed = dposv(S, b)
+    if failed:
+        raise np.linalg.LinAlgError('the covariance of the singular values has no root')
+    return np.asarray(solved, float)
