@@ -19,8 +19,8 @@ Eq. 6 as printed multiplies u itself, which W19 counts from the corner of the im
 distance u - u0 from the principal point. That can not be meant: the image would be stretched about
 its corner by a factor that depends on the distance from its middle. W19's k1 = -0.5 would move a
 star in the far corner by 40 px and one in the corner at the origin not at all, which no lens does:
-it is round about its axis. Here it is the distance; with it, too, the errors of W19's Table 2 give
-angles nearer to those that it prints (docs/attitude_free.md).
+it is round about its axis. Here it is the distance. (W19's own numbers do not decide it: its Table
+2 agrees with itself in neither form, see docs/attitude_free.md.)
 
 S24
 ---

@@ -37,13 +37,12 @@ FINDINGS = (
     'B hardly depends on the calibration: its error is the noise of the frame that it is taken '
     'from. It can not tell AD from SVD.',
     'Time, without the screening of wrong stars, which the paper has not: with analytic slopes AD '
-    'takes some 0.6 of the time of SVD with the full weighting at any number of stars from 8 to '
-    '60, and about the same time with the published one. What made it slow in the paper is not '
-    'the angles but the gain of Eq. 25, which inverts a matrix of the size of the residuals, 465 '
-    'for 31 stars, in place of one of the size of the parameters. With that gain and differences '
-    'AD is no slower than SVD up to 20 stars, 5 times at 31 and 30 to 60 times at 60; without it '
-    'AD by differences is the faster one again, 0.3 of SVD at 31. '
-    'bench/intrinsics_methods.py measures it.')
+    'takes 0.7 to 0.4 of the time of SVD with the full weighting, from 8 to 60 stars, and 0.9 of '
+    'it with the published one. What made it slow in the paper is not the angles but the gain of '
+    'Eq. 25, which inverts a matrix of the size of the residuals, 465 for 31 stars, in place of '
+    'one of the size of the parameters. With that gain and differences AD is no slower than SVD '
+    'up to 20 stars, 4 times at 31 and 67 times at 60; without it AD by differences takes 0.5 of '
+    'SVD by differences at 31. bench/intrinsics_methods.py measures it.')
 
 
 def reproduce(scenario: Scenario, runs: int, work: Path,
