@@ -32,10 +32,10 @@ PAPER = {
     'p1': (3.1e-7, 3.7e-7, 4.8e-7, 6.3e-7, 8.7e-7),
     'p2': (2.9e-7, 3.4e-7, 4.8e-7, 6.3e-7, 9.4e-7),
 }
-NOISELESS = ('Centroids without noise are weighted as if of 1e-4 px: the filter needs some, and the '
-             'bound is that of this weight; NEES and NIS are as low as they are for that reason. '
-             'What is left of the camera at 0 px is no noise but what the linear model leaves '
-             'out.')
+NOISELESS = ('Centroids without noise are weighted as if of 1e-4 px: the filter needs some, and '
+             'the bound is that of this weight; NEES and NIS are as low as they are for that '
+             'reason. What is left of the camera at 0 px is no noise but what the linear model '
+             'leaves out.')
 
 
 def reproduce(scenario: Scenario, runs: int, work: Path,
