@@ -312,6 +312,20 @@ def test_an_impossible_image_is_refused(image, text):
         extract(image, CentroidConfig())
 
 
+@pytest.mark.parametrize('kind', range(5))
+def test_whatever_the_image_the_numbers_are_finite(kind):
+    rng = np.random.default_rng(21)
+    image = [lambda: rng.normal(size=(120, 90)),                            # noise
+             lambda: rng.integers(0, 256, (90, 120)).astype(np.uint8),      # full of it
+             lambda: np.where(rng.random((90, 90)) < 0.5, 0, 255).astype(np.uint8),
+             lambda: rng.normal(size=(120, 90)).cumsum(0).cumsum(1),        # clouds
+             lambda: 100.0 * rng.standard_cauchy((70, 100))][kind]()        # cosmic rays
+    for gain in (None, 1.0):
+        found = extract(image, CentroidConfig(threshold=2.0, gain_electrons=gain))
+        assert np.isfinite(found.uv_raster).all() and np.isfinite(found.flux).all()
+        assert np.isfinite(found.sigma).all() and (found.sigma > 0.0).all()
+
+
 def test_a_shape_is_that_of_its_moments():
     shape = Shape(0.8, np.array([4.0, -3.0]))
     again = Shape.of_moments(shape.moments)

@@ -32,13 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import spot
-from starcal_ros.imaging.stamps import LEAST_SIGMA, Shape, Stamps
+from starcal_ros.imaging.stamps import Shape, Stamps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LEAST_PIXELS = 9               # that a fit needs
-_FARTHEST_PX = 1.5              # from the middle of the stamp, where a fit may end
+_FARTHEST_PX = 1.5              # from the middle of the stamp, where a fit may end; its sigma
 _WIDTH_PART = 0.3               # of the frame's variance, what a star's differs by, 1 sigma
 _TINY = 1e-30
 
@@ -65,7 +65,7 @@ class Fit(NamedTuple):
     shot : (n,) array
         Variance of the pixels beyond the noise, a count of light: 1 / gain, measured [counts].
     good : (n,) bool array
-        The fit came to an end near the middle of the stamp.
+        The fit came to an end near the middle of the stamp, and is known to lie there.
     """
 
     frame: Shape
@@ -85,8 +85,8 @@ class Fit(NamedTuple):
         if not self.frame.trail.any():
             return Shape.of_moments(self.frame.moments
                                     + np.median(self.moments[self.good], axis=0))
-        return Shape(max(np.sqrt(np.median(self.width[self.good])), LEAST_SIGMA),
-                     self.frame.trail + np.median(self.trail[self.good], axis=0))
+        return Shape.bounded(float(np.median(self.width[self.good])),
+                             self.frame.trail + np.median(self.trail[self.good], axis=0))
 
 
 def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
@@ -120,11 +120,14 @@ def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
     covariance, shot, excess = _scatter(terms, stamps.noise)
     trail, moments, moments_sigma = _shapes(terms, shape)
     valid = stamps.valid.reshape(len(offset), -1).sum(axis=1)
+    place = excess[:, None, None] * covariance[:, 2:4, 2:4]
+    spread = np.linalg.eigvalsh(place)
     good = ((valid >= _LEAST_PIXELS) & (spots.flux > 0.0)
-            & (np.abs(spots.offset) <= _FARTHEST_PX).all(axis=1))
+            & (np.abs(spots.offset) <= _FARTHEST_PX).all(axis=1)
+            & (spread[:, 0] > 0.0) & (spread[:, 1] < _FARTHEST_PX**2))
     moments = moments + (spots.width - shape.sigma**2)[:, None, None] * np.eye(2)
-    return Fit(shape, spots.offset, excess[:, None, None] * covariance[:, 2:4, 2:4], spots.flux,
-               spots.width, trail, moments, moments_sigma, shot, good)
+    return Fit(shape, spots.offset, place, spots.flux, spots.width, trail, moments,
+               moments_sigma, shot, good)
 
 
 class _Terms(NamedTuple):

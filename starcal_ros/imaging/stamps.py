@@ -14,7 +14,7 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.int64]
 
-LEAST_SIGMA = 0.3               # px, of a spot
+_LEAST_SIGMA, _LONGEST_TRAIL, _LARGEST_HALF = 0.3, 60.0, 32     # px
 _ROUND = 0.15                   # second moments along and across differ less: no trail
 
 
@@ -29,9 +29,15 @@ class Shape(NamedTuple):
         """Return the shape with second moments (2, 2) of its light [px^2]."""
         (across, along), axes = np.linalg.eigh(moments)
         if along < (1.0 + _ROUND) * across:
-            return cls(max(np.sqrt((across + along) / 2.0), LEAST_SIGMA), np.zeros(2))
-        return cls(max(np.sqrt(across), LEAST_SIGMA),
-                   np.sqrt(12.0 * (along - across)) * axes[:, 1])
+            return cls.bounded((across + along) / 2.0, np.zeros(2))
+        return cls.bounded(across, np.sqrt(12.0 * (along - across)) * axes[:, 1])
+
+    @classmethod
+    def bounded(cls, variance: float, trail: Array) -> Shape:
+        """Return a shape of a variance [px^2] and a trail, brought into what can be fitted."""
+        length = float(np.linalg.norm(trail))
+        return cls(float(np.sqrt(max(variance, _LEAST_SIGMA**2))),
+                   trail * min(1.0, _LONGEST_TRAIL / max(length, 1.0)))
 
     @property
     def moments(self) -> Array:
@@ -41,7 +47,8 @@ class Shape(NamedTuple):
     @property
     def half(self) -> int:
         """Pixels on each side of the middle one that hold nearly all of the light."""
-        return int(np.ceil(2.5 * self.sigma + np.abs(self.trail).max() / 2.0 + 0.5))
+        half = np.ceil(2.5 * self.sigma + np.abs(self.trail).max() / 2.0 + 0.5)
+        return int(min(half, _LARGEST_HALF))
 
 
 class Stamps(NamedTuple):
