@@ -14,7 +14,7 @@ from starcal_ros.config_image import CentroidConfig, ImageConfig
 from starcal_ros.imaging.background import background
 from starcal_ros.imaging.centroid import BLENDED, EDGE, ELONGATED, SATURATED, extract
 from starcal_ros.imaging.files import image_files, load
-from starcal_ros.imaging.spot_fit import Shape
+from starcal_ros.imaging.stamps import Shape
 from starcal_ros.simulation.render import Renderer
 
 DETECTOR = Detector(512, 512, 0.00645)
@@ -31,8 +31,13 @@ def grid(rng: np.random.Generator, spacing: int = 36):
     return places + rng.uniform(-1.0, 1.0, places.shape)
 
 
+def camera_config(**changes) -> ImageConfig:
+    """Return a camera of more light than the default: faint and bright stars in one frame."""
+    return ImageConfig(**{'zero_point_electrons_s': 5e6, **changes})
+
+
 def renderer(rng: np.random.Generator, **changes) -> Renderer:
-    return Renderer(ImageConfig(**changes), DETECTOR, EXPOSURE_S, rng)
+    return Renderer(camera_config(**changes), DETECTOR, EXPOSURE_S, rng)
 
 
 def along(uv, trail):
@@ -108,7 +113,7 @@ def test_errors_have_unit_variance_over_their_stated_sigma():
 def test_errors_are_near_the_cramer_rao_bound(magnitude):
     error, _, _ = pooled(2, 6, (magnitude, magnitude))
     rng = np.random.default_rng(3)
-    limit = np.mean([np.trace(bound(magnitude, phase, ImageConfig())) / 2.0
+    limit = np.mean([np.trace(bound(magnitude, phase, camera_config())) / 2.0
                      for phase in rng.uniform(-0.5, 0.5, (50, 2))])
     # standard deviation; 2028 numbers know it to 1.6 % (1 sigma)
     assert 0.95 < np.sqrt(np.mean(error**2) / limit) < 1.2
@@ -242,7 +247,7 @@ def test_hot_pixels_are_no_stars():
 # Background and noise
 
 def test_noise_and_background_are_those_of_the_sky():
-    config = ImageConfig(sky_electrons_s=500.0, psf_sigma_px=1.0)
+    config = camera_config(sky_electrons_s=500.0, psf_sigma_px=1.0)
     rng = np.random.default_rng(16)
     camera = Renderer(config, DETECTOR, EXPOSURE_S, rng)
     uv = grid(rng)
@@ -305,6 +310,20 @@ def test_the_brightest_spots_are_kept_first():
 def test_an_impossible_image_is_refused(image, text):
     with pytest.raises(ValueError, match=text):
         extract(image, CentroidConfig())
+
+
+@pytest.mark.parametrize('kind', range(5))
+def test_whatever_the_image_the_numbers_are_finite(kind):
+    rng = np.random.default_rng(21)
+    image = [lambda: rng.normal(size=(120, 90)),                            # noise
+             lambda: rng.integers(0, 256, (90, 120)).astype(np.uint8),      # full of it
+             lambda: np.where(rng.random((90, 90)) < 0.5, 0, 255).astype(np.uint8),
+             lambda: rng.normal(size=(120, 90)).cumsum(0).cumsum(1),        # clouds
+             lambda: 100.0 * rng.standard_cauchy((70, 100))][kind]()        # cosmic rays
+    for gain in (None, 1.0):
+        found = extract(image, CentroidConfig(threshold=2.0, gain_electrons=gain))
+        assert np.isfinite(found.uv_raster).all() and np.isfinite(found.flux).all()
+        assert np.isfinite(found.sigma).all() and (found.sigma > 0.0).all()
 
 
 def test_a_shape_is_that_of_its_moments():

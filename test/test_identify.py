@@ -73,14 +73,14 @@ def test_the_attitude_is_that_of_the_apparent_places():
     for _ in range(5):
         sight = eye.anywhere(STAMP_NS)
         found = identifier.lost_in_space(sight.uv_raster, sight.flux, STAMP_NS)
-        error = rotation.log(found.view.C_si @ sight.C_si.T)
+        error = rotation.log(found.C_si @ sight.C_si.T)
         covariance = (found.view.root @ found.view.root.T)[:3, :3]
         # 99.9 % of chi-square with 3 degrees of freedom, for spots good to 0.05 px that the fit
         # expects to be off by MODEL_SIGMA_PX; twice that, because its weights are not the best.
         assert (error @ np.linalg.solve(covariance, error)
                 < 2.0 * 16.3 * (0.05 / MODEL_SIGMA_PX)**2)
         timeless = identifier.lost_in_space(sight.uv_raster, sight.flux)
-        aberration.append(np.linalg.norm(rotation.log(timeless.view.C_si @ sight.C_si.T)))
+        aberration.append(np.linalg.norm(rotation.log(timeless.C_si @ sight.C_si.T)))
     # 20.5" times the sine of the angle to the Earth's velocity; near 0 close to the apex only
     assert 10.0 * ARCSEC < max(aberration) < 25.0 * ARCSEC
 

@@ -40,7 +40,7 @@ def test_a_spot_at_rest_is_the_gaussian_over_each_pixel():
     u, v = np.arange(256) - (127.5 + 10.3), np.arange(200) - (99.5 - 20.6)
     root = np.sqrt(2.0) * 0.7
     p_u, p_v = (0.5 * (erf((x + 0.5) / root) - erf((x - 0.5) / root)) for x in (u, v))
-    expected = 5e6 * 0.18 * 10.0 ** -1.6 * np.outer(p_v, p_u)
+    expected = 1e6 * 0.18 * 10.0 ** -1.6 * np.outer(p_v, p_u)
     np.testing.assert_allclose(light, expected, atol=2e-6 * expected.sum())     # cut at 5 sigma
 
 
@@ -128,7 +128,7 @@ def test_starlight_has_shot_noise():
 
 
 def test_pixels_are_full_at_the_full_well_and_counts_at_the_top():
-    light = renderer().light(at_rest([0.0, 0.0]), [-2.0])
+    light = renderer().light(at_rest([0.0, 0.0]), [-5.0])
     assert renderer(full_well_electrons=1e4).counts(light).max() == 10200
     assert renderer(saturation_counts=4095).counts(light).max() == 4095
     assert renderer(full_well_electrons=1e7).counts(light).max() == 65535
@@ -175,7 +175,8 @@ def test_images_show_the_stars_where_the_centroids_are(at_s):
     stars = StarTrackerSimulator(scene, truth, catalog.load(5.5), np.random.default_rng(1))
     frames = stars.next(index + 1)[index:index + 1]
     assert len(frames.catalog_id) > 5
-    image = simulator(scene, ImageConfig(limiting_magnitude=5.5)).image(int(frames.stamp_ns[0]))
+    config = ImageConfig(limiting_magnitude=5.5, zero_point_electrons_s=5e6)
+    image = simulator(scene, config).image(int(frames.stamp_ns[0]))
     found = extract(image, CentroidConfig(gain_electrons=1.0, saturation_counts=30000.0))
     inside = ((frames.uv_raster > 10.0) & (frames.uv_raster < 1013.0)).all(axis=1)
     miss = np.linalg.norm(frames.uv_raster[inside][:, None] - found.uv_raster, axis=-1)

@@ -19,7 +19,8 @@ from starcal_ros.config_image import CentroidConfig
 from starcal_ros.imaging.background import background
 from starcal_ros.imaging.detect import Spots, find_spots
 from starcal_ros.imaging.files import top
-from starcal_ros.imaging.spot_fit import Shape, Stamps, fit
+from starcal_ros.imaging.spot_fit import fit
+from starcal_ros.imaging.stamps import Shape, Stamps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -141,7 +142,7 @@ def _common_shape(stamps: Callable[[Rows, int], tuple[Stamps, Mask]], spots: Spo
             break
         place[row[good]] = (cut.middle + found.offset)[good]
         measured_gain = 1.0 / max(np.median(found.shot[good]), _LEAST_SHOT)
-        last, shape = shape, shape.after(found)
+        last, shape = shape, found.shape
         if np.abs(shape.moments - last.moments).max() < _SETTLED * np.trace(shape.moments):
             break
     return shape, gain or measured_gain

@@ -61,7 +61,7 @@ class Identification:
     catalog_id : (n,) int64 array
         Hipparcos number of each spot, 0 where it is not identified.
     view : View
-        Attitude C_si and camera that fit them, with covariance.
+        Attitude and camera that fit them, with covariance.
     rms_px : float
         Root mean square of the residuals, each axis [px].
     tracked : bool
@@ -72,6 +72,11 @@ class Identification:
     view: View
     rms_px: float
     tracked: bool
+
+    @property
+    def C_si(self) -> Array:
+        """Attitude (3, 3) of the star tracker, ``r_s = C_si r_i``."""
+        return self.view.C_si
 
 
 class Identifier:

@@ -13,9 +13,11 @@ Counts about a spot, less the background, and their variance ::
     F, b    counts         light of the star, what is left of the background
     gain    electrons a count
 
-(u, v, F, b) of all spots at once by Gauss and Newton, weights 1 / V from the fit, not from the
-data, whose noise would bias them. The covariance is the inverse of J' V^-1 J: where the model
-holds, it is the Cramer-Rao bound, so the estimator is as good as any.
+(u, v, s^2, F, b) of all spots at once by Gauss and Newton. Where the gain is given, the weights
+are 1 / V from the fit, not from the data, whose noise would bias them; the covariance is then the
+Cramer-Rao bound: if the model holds, the estimator is as good as any. Where it is not, the weights
+are even, which a spot that is not quite a Gaussian harms less; the covariance is that of such a
+fit, with the gain that the scatter about it shows.
 
 What the shape of a spot differs from the frame's is one more such step, with columns for its
 second moments: by the heat equation, the derivative by the variance of a Gaussian is half of
@@ -30,94 +32,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import spot
+from starcal_ros.imaging.stamps import Shape, Stamps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LEAST_PIXELS = 9               # that a fit needs
-_LEAST_SIGMA = 0.3              # px, of a spot
-_FARTHEST_PX = 1.5              # from the middle of the stamp, where a fit may end
+_FARTHEST_PX = 1.5              # from the middle of the stamp, where a fit may end; its sigma
 _WIDTH_PART = 0.3               # of the frame's variance, what a star's differs by, 1 sigma
 _TINY = 1e-30
-_ROUND = 0.15                   # second moments along and across differ less: no trail
-
-
-class Shape(NamedTuple):
-    """What the spots of a frame look like: sigma of a spot at rest, and its trail (2,) [px]."""
-
-    sigma: float
-    trail: Array
-
-    @classmethod
-    def of_moments(cls, moments: Array) -> Shape:
-        """Return the shape with second moments (2, 2) of its light [px^2]."""
-        (across, along), axes = np.linalg.eigh(moments)
-        if along < (1.0 + _ROUND) * across:
-            return cls(max(np.sqrt((across + along) / 2.0), _LEAST_SIGMA), np.zeros(2))
-        return cls(max(np.sqrt(across), _LEAST_SIGMA),
-                   np.sqrt(12.0 * (along - across)) * axes[:, 1])
-
-    def after(self, found: Fit) -> Shape:
-        """Return the shape that spots fitted with this one have in common."""
-        if not self.trail.any():
-            return Shape.of_moments(self.moments + np.median(found.moments[found.good], axis=0))
-        return Shape(max(np.sqrt(np.median(found.width[found.good])), _LEAST_SIGMA),
-                     self.trail + np.median(found.trail[found.good], axis=0))
-
-    @property
-    def moments(self) -> Array:
-        """Second moments (2, 2) of the light [px^2]."""
-        return self.sigma**2 * np.eye(2) + np.outer(self.trail, self.trail) / 12.0
-
-    @property
-    def half(self) -> int:
-        """Pixels on each side of the middle one that hold nearly all of the light."""
-        return int(np.ceil(2.5 * self.sigma + np.abs(self.trail).max() / 2.0 + 0.5))
-
-
-class Stamps(NamedTuple):
-    """Square cuttings of an image about n spots.
-
-    Attributes
-    ----------
-    middle : (n, 2) int64 array
-        Column and row of the middle pixel.
-    counts : (n, k, k) array
-        Counts over the background, rows first.
-    valid : (n, k, k) bool array
-        Pixels of the image that are not saturated.
-    noise : (n,) array
-        Standard deviation of a pixel without stars [counts].
-    saturated, cut : (n,) bool array
-        Stamps with a saturated pixel, and those that reach out of the image.
-    """
-
-    middle: NDArray[np.int64]
-    counts: Array
-    valid: Mask
-    noise: Array
-    saturated: Mask
-    cut: Mask
-
-    @classmethod
-    def of(cls, counts: NDArray[np.float32], saturated: Mask, noise: NDArray[np.float32],
-           uv_raster: Array, half: int) -> Stamps:
-        """Cut an image about some places, `half` pixels on each side of the nearest one."""
-        middle = np.rint(uv_raster).astype(np.int64)
-        reach = np.arange(-half, half + 1)
-        u, v = middle[:, 0, None] + reach, middle[:, 1, None] + reach
-        height, width = counts.shape
-        inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
-        at = np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]
-        full = saturated[at] & inside
-        return cls(middle, counts[at].astype(float), inside & ~full,
-                   noise[middle[:, 1], middle[:, 0]].astype(float), full.any(axis=(1, 2)),
-                   ~inside.all(axis=(1, 2)))
-
-    def take(self, rows: NDArray[np.int64]) -> Stamps:
-        """Return some of the stamps."""
-        return Stamps(self.middle[rows], self.counts[rows], self.valid[rows], self.noise[rows],
-                      self.saturated[rows], self.cut[rows])
 
 
 class Fit(NamedTuple):
@@ -125,6 +48,8 @@ class Fit(NamedTuple):
 
     Attributes
     ----------
+    frame : Shape
+        The shape that they were fitted with.
     offset : (n, 2) array
         Place from the middle of the stamp [px].
     covariance : (n, 2, 2) array
@@ -140,9 +65,10 @@ class Fit(NamedTuple):
     shot : (n,) array
         Variance of the pixels beyond the noise, a count of light: 1 / gain, measured [counts].
     good : (n,) bool array
-        The fit came to an end near the middle of the stamp.
+        The fit came to an end near the middle of the stamp, and is known to lie there.
     """
 
+    frame: Shape
     offset: Array
     covariance: Array
     flux: Array
@@ -152,6 +78,15 @@ class Fit(NamedTuple):
     moments_sigma: Array
     shot: Array
     good: Mask
+
+    @property
+    def shape(self) -> Shape:
+        """The shape that the good ones have in common."""
+        if not self.frame.trail.any():
+            return Shape.of_moments(self.frame.moments
+                                    + np.median(self.moments[self.good], axis=0))
+        return Shape.bounded(float(np.median(self.width[self.good])),
+                             self.frame.trail + np.median(self.trail[self.good], axis=0))
 
 
 def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
@@ -173,8 +108,8 @@ def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
     iterations : int
         Of Gauss and Newton.
     """
-    spots = _Spots(stamps, shape, offset, np.zeros(len(offset)), np.zeros(len(offset)),
-                   np.full(len(offset), shape.sigma**2))
+    zero = np.zeros(len(offset))
+    spots = _Spots(stamps, shape, offset, zero, zero, zero + shape.sigma**2)
     # Light and background first, at the place given; then all, with weights that follow.
     terms = spots.terms(gain, photons)
     spots = spots.moved(_solve(terms.columns[..., :2], terms.residual, terms.weight)[0])
@@ -182,53 +117,65 @@ def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
         terms = spots.terms(gain, photons)
         spots = spots.moved(_solve(terms.columns, terms.residual, terms.weight)[0])
     terms = spots.terms(gain, photons)
-    _, inverse = _solve(terms.columns, terms.residual, terms.weight)
-    # The weights need not be 1 / V: the covariance of any weighted fit.
-    part = (inverse @ np.swapaxes(terms.columns * terms.weight[..., None], -1, -2))
-    covariance = (part * terms.variance[:, None, :]) @ np.swapaxes(part, -1, -2)
-
-    # A residual has the variance V (1 - h), h what its pixel takes part in its own fit.
-    pixel = slice(None, -1)
-    valid, square = terms.weight[:, pixel] > 0.0, terms.residual[:, pixel]**2
-    free = valid * np.maximum(1.0 - np.einsum('npi,nip->np', terms.columns, part)[:, pixel], 0.0)
-    light = free * terms.light
-    shot = (np.sum(valid * square - free * stamps.noise[:, None]**2, axis=1)
-            / np.maximum(light.sum(axis=1), 1.0))
-    # A shape that is not quite the star's scatters more than the noise: then that is the noise.
-    freedom = np.maximum(free.sum(axis=1), 1.0)
-    excess = np.sum(valid * square / terms.variance[:, pixel], axis=1) / freedom
-    excess = np.where(excess > 1.0 + 3.0 * np.sqrt(2.0 / freedom), excess, 1.0)
-
-    residual, weight = terms.residual[:, pixel], terms.weight[:, pixel]
-    trail = np.zeros_like(offset)
-    if shape.trail.any():
-        trail = _solve(np.concatenate((terms.columns[:, pixel], terms.trail_columns), axis=-1),
-                       residual, weight)[0][:, 5:]
-    step, wide = _solve(terms.shape_columns, residual, weight)
-    moments = (np.stack((step[:, 4], step[:, 5], step[:, 5], step[:, 6]), -1).reshape(-1, 2, 2)
-               + (spots.width - shape.sigma**2)[:, None, None] * np.eye(2))
-    spread = np.sqrt((wide[:, 4, 4] + wide[:, 6, 6]) / 2.0)
-    good = ((valid.sum(axis=1) >= _LEAST_PIXELS) & (spots.flux > 0.0)
-            & (np.abs(spots.offset) <= _FARTHEST_PX).all(axis=1))
-    return Fit(spots.offset, excess[:, None, None] * covariance[:, 2:4, 2:4], spots.flux,
-               spots.width, trail, moments, spread, shot, good)
+    covariance, shot, excess = _scatter(terms, stamps.noise)
+    trail, moments, moments_sigma = _shapes(terms, shape)
+    valid = stamps.valid.reshape(len(offset), -1).sum(axis=1)
+    place = excess[:, None, None] * covariance[:, 2:4, 2:4]
+    spread = np.linalg.eigvalsh(place)
+    good = ((valid >= _LEAST_PIXELS) & (spots.flux > 0.0)
+            & (np.abs(spots.offset) <= _FARTHEST_PX).all(axis=1)
+            & (spread[:, 0] > 0.0) & (spread[:, 1] < _FARTHEST_PX**2))
+    moments = moments + (spots.width - shape.sigma**2)[:, None, None] * np.eye(2)
+    return Fit(shape, spots.offset, place, spots.flux, spots.width, trail, moments,
+               moments_sigma, shot, good)
 
 
 class _Terms(NamedTuple):
-    """One step of Gauss and Newton: pixels, and one more row that holds the width to the frame's.
+    """One step of Gauss and Newton: p pixels, and a last row that holds the width to the frame's.
 
-    `columns` are the derivatives by light, background, u, v and width; `shape_columns`, without
-    the last row, have the three second moments in place of the width, `trail_columns` are those
-    by the trail alone.
+    `columns` (n, p + 1, 5) are the derivatives by light, background, u, v and width; `image` and
+    `flux` are what they are made of.
     """
 
     columns: Array
     residual: Array
     weight: Array
     variance: Array
-    light: Array
-    shape_columns: Array
-    trail_columns: Array
+    image: _Image
+    flux: Array
+
+
+def _scatter(terms: _Terms, noise: Array) -> tuple[Array, Array, Array]:
+    """Return covariance (n, 5, 5), shot noise and excess of the residuals (n,) of fitted spots."""
+    columns, residual, weight, variance = terms[:4]
+    _, inverse = _solve(columns, residual, weight)
+    # The weights need not be 1 / V: the covariance of any weighted fit.
+    part = inverse @ np.swapaxes(columns * weight[..., None], -1, -2)
+    covariance = (part * variance[:, None, :]) @ np.swapaxes(part, -1, -2)
+    # A residual has the variance V (1 - h), h what its pixel takes part in its own fit.
+    free = (weight > 0.0) * np.maximum(1.0 - np.einsum('npi,nip->np', columns, part), 0.0)
+    free, square = free[:, :-1], (np.where(weight > 0.0, residual, 0.0)**2)[:, :-1]
+    light = free * np.maximum(terms.flux * terms.image.part(), 0.0)
+    shot = ((square - free * noise[:, None]**2).sum(axis=1) / np.maximum(light.sum(axis=1), 1.0))
+    # A shape that is not quite the star's scatters more than the noise: then that is the noise.
+    freedom = np.maximum(free.sum(axis=1), 1.0)
+    excess = np.sum(square / variance[:, :-1], axis=1) / freedom
+    return covariance, shot, np.where(excess > 1.0 + 3.0 * np.sqrt(2.0 / freedom), excess, 1.0)
+
+
+def _shapes(terms: _Terms, shape: Shape) -> tuple[Array, Array, Array]:
+    """Return how trail (n, 2) and moments (n, 2, 2) differ, Eq. (C.2), and the sigma of these."""
+    image, flux = terms.image, terms.flux
+    columns, residual, weight = terms.columns[:, :-1], terms.residual[:, :-1], terms.weight[:, :-1]
+    trail = np.zeros((len(flux), 2))
+    if shape.trail.any():
+        by_trail = np.stack([flux * part for part in image.by_trail()], axis=-1)
+        trail = _solve(np.concatenate((columns, by_trail), axis=-1), residual, weight)[0][:, 5:]
+    by_moments = np.stack([flux * image.part(2, 0) / 2.0, flux * image.part(1, 1),
+                           flux * image.part(0, 2) / 2.0], axis=-1)
+    step, wide = _solve(np.concatenate((columns[..., :4], by_moments), axis=-1), residual, weight)
+    return (trail, step[:, [4, 5, 5, 6]].reshape(-1, 2, 2),
+            np.sqrt((wide[:, 4, 4] + wide[:, 6, 6]) / 2.0))
 
 
 class _Spots(NamedTuple):
@@ -252,57 +199,48 @@ class _Spots(NamedTuple):
 
     def terms(self, gain: float, photons: bool) -> _Terms:
         """Return the terms of the next step."""
-        stamps, n = self.stamps, len(self.flux)
-        image = _images(self.offset, self.shape.trail, np.sqrt(self.width),
-                        stamps.counts.shape[1] // 2)
-        flux = self.flux[:, None]
-        light = np.maximum(flux * image.m, 0.0)
+        stamps, n, flux = self.stamps, len(self.flux), self.flux[:, None]
+        image = _Image(self.offset, self.shape.trail, np.sqrt(self.width),
+                       stamps.counts.shape[1] // 2)
+        light = image.part()
         even = np.broadcast_to(stamps.noise[:, None]**2, light.shape)
-        variance = even + light / gain
-        weight = stamps.valid.reshape(n, -1) / (variance if photons else even)
-        one, uu, vv = np.ones_like(light), flux * image.m_uu / 2.0, flux * image.m_vv / 2.0
-        common = [image.m, one, flux * image.m_u, flux * image.m_v]
-        hold = np.zeros((n, 1, 5))
-        hold[..., 4] = 1.0
+        variance = even + np.maximum(flux * light, 0.0) / gain
+        # The last row: the width is that of the frame, give or take a part of it.
         frame = self.shape.sigma**2
         loose = np.full((n, 1), (_WIDTH_PART * frame)**2)
-        return _Terms(
-            np.concatenate((np.stack([*common, uu + vv], axis=-1), hold), axis=1),
-            np.hstack((stamps.counts.reshape(n, -1) - flux * image.m - self.base[:, None],
-                       frame - self.width[:, None])),
-            np.hstack((weight, 1.0 / loose)), np.hstack((variance, loose)), light,
-            np.stack([*common, uu, flux * image.m_uv, vv], axis=-1),
-            np.stack([flux * image.m_trail_u, flux * image.m_trail_v], axis=-1))
+        columns = np.zeros((n, light.shape[1] + 1, 5))
+        columns[:, :-1, 0], columns[:, :-1, 1] = light, 1.0
+        columns[:, :-1, 2], columns[:, :-1, 3] = flux * image.part(1, 0), flux * image.part(0, 1)
+        columns[:, :-1, 4] = flux * (image.part(2, 0) + image.part(0, 2)) / 2.0
+        columns[:, -1, 4] = 1.0
+        residual = stamps.counts.reshape(n, -1) - flux * light - self.base[:, None]
+        weight = stamps.valid.reshape(n, -1) / (variance if photons else even)
+        return _Terms(columns, np.hstack((residual, frame - self.width[:, None])),
+                      np.hstack((weight, 1.0 / loose)), np.hstack((variance, loose)), image, flux)
 
 
-class _Images(NamedTuple):
-    """Part of a star's light in each pixel (n, k * k); its derivatives by u, v and the trail."""
+class _Image:
+    """The part of the light of n stars in each pixel of their stamps, and its derivatives."""
 
-    m: Array
-    m_u: Array
-    m_v: Array
-    m_uu: Array
-    m_uv: Array
-    m_vv: Array
-    m_trail_u: Array
-    m_trail_v: Array
+    def __init__(self, offset: Array, trail: Array, sigma: Array, half: int) -> None:
+        self._t, weight = spot.points(
+            spot.count(float(np.linalg.norm(trail)), float(np.median(sigma))))
+        edges = np.arange(-half, half + 2) - 0.5 - (
+            offset[:, :, None] + trail[:, None] * self._t)[..., None]   # (n, 2, points, k + 1)
+        s = sigma[:, None, None, None]
+        slopes = (spot.profile(edges, s), *spot.profile_slopes(edges, s))
+        self._u = [slope[:, 0] for slope in slopes]
+        self._v = [np.swapaxes(weight[:, None] * slope[:, 1], -1, -2) for slope in slopes]
 
+    def part(self, by_u: int = 0, by_v: int = 0) -> Array:
+        """Return the part of the light (n, k * k), differentiated by u and v so many times."""
+        image = self._v[by_v] @ self._u[by_u]
+        return image.reshape(len(image), -1)
 
-def _images(offset: Array, trail: Array, sigma: Array, half: int) -> _Images:
-    t, weight = spot.points(spot.count(float(np.linalg.norm(trail)), float(np.median(sigma))))
-    edges = np.arange(-half, half + 2) - 0.5 - (
-        offset[:, :, None] + trail[:, None] * t)[..., None]             # (n, 2, points, k + 1)
-    s = sigma[:, None, None, None]
-    slopes = (spot.profile(edges, s), *spot.profile_slopes(edges, s))
-    in_u = [slope[:, 0] for slope in slopes]
-    in_v = [np.swapaxes(weight[:, None] * slope[:, 1], -1, -2) for slope in slopes]
-
-    def product(of_v: Array, of_u: Array) -> Array:
-        return (of_v @ of_u).reshape(len(offset), -1)
-
-    return _Images(product(in_v[0], in_u[0]), product(in_v[0], in_u[1]), product(in_v[1], in_u[0]),
-                   product(in_v[0], in_u[2]), product(in_v[1], in_u[1]), product(in_v[2], in_u[0]),
-                   product(in_v[0] * t, in_u[1]), product(in_v[1] * t, in_u[0]))
+    def by_trail(self) -> tuple[Array, Array]:
+        """Return the derivatives by the two components of the trail."""
+        by_u, by_v = (self._v[0] * self._t) @ self._u[1], (self._v[1] * self._t) @ self._u[0]
+        return by_u.reshape(len(by_u), -1), by_v.reshape(len(by_v), -1)
 
 
 def _solve(columns: Array, residual: Array, weight: Array) -> tuple[Array, Array]:

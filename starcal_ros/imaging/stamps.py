@@ -1,0 +1,96 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the spots of a frame look like, and square cuttings of the frame about them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+
+_LEAST_SIGMA, _LONGEST_TRAIL, _LARGEST_HALF = 0.3, 60.0, 32     # px
+_ROUND = 0.15                   # second moments along and across differ less: no trail
+
+
+class Shape(NamedTuple):
+    """What the spots of a frame look like: sigma of a spot at rest, and its trail (2,) [px]."""
+
+    sigma: float
+    trail: Array
+
+    @classmethod
+    def of_moments(cls, moments: Array) -> Shape:
+        """Return the shape with second moments (2, 2) of its light [px^2]."""
+        (across, along), axes = np.linalg.eigh(moments)
+        if along < (1.0 + _ROUND) * across:
+            return cls.bounded((across + along) / 2.0, np.zeros(2))
+        return cls.bounded(across, np.sqrt(12.0 * (along - across)) * axes[:, 1])
+
+    @classmethod
+    def bounded(cls, variance: float, trail: Array) -> Shape:
+        """Return a shape of a variance [px^2] and a trail, brought into what can be fitted."""
+        length = float(np.linalg.norm(trail))
+        return cls(float(np.sqrt(max(variance, _LEAST_SIGMA**2))),
+                   trail * min(1.0, _LONGEST_TRAIL / max(length, 1.0)))
+
+    @property
+    def moments(self) -> Array:
+        """Second moments (2, 2) of the light [px^2]."""
+        return self.sigma**2 * np.eye(2) + np.outer(self.trail, self.trail) / 12.0
+
+    @property
+    def half(self) -> int:
+        """Pixels on each side of the middle one that hold nearly all of the light."""
+        half = np.ceil(2.5 * self.sigma + np.abs(self.trail).max() / 2.0 + 0.5)
+        return int(min(half, _LARGEST_HALF))
+
+
+class Stamps(NamedTuple):
+    """Square cuttings of an image about n spots.
+
+    Attributes
+    ----------
+    middle : (n, 2) int64 array
+        Column and row of the middle pixel.
+    counts : (n, k, k) array
+        Counts over the background, rows first.
+    valid : (n, k, k) bool array
+        Pixels of the image that are not saturated.
+    noise : (n,) array
+        Standard deviation of a pixel without stars [counts].
+    saturated, cut : (n,) bool array
+        Stamps with a saturated pixel, and those that reach out of the image.
+    """
+
+    middle: Rows
+    counts: Array
+    valid: Mask
+    noise: Array
+    saturated: Mask
+    cut: Mask
+
+    @classmethod
+    def of(cls, counts: Image, saturated: Mask, noise: Image,
+           uv_raster: Array, half: int) -> Stamps:
+        """Cut an image about some places, `half` pixels on each side of the nearest one."""
+        middle = np.rint(uv_raster).astype(np.int64)
+        reach = np.arange(-half, half + 1)
+        u, v = middle[:, 0, None] + reach, middle[:, 1, None] + reach
+        height, width = counts.shape
+        inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
+        at = np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]
+        full = saturated[at] & inside
+        return cls(middle, counts[at].astype(float), inside & ~full,
+                   noise[middle[:, 1], middle[:, 0]].astype(float), full.any(axis=(1, 2)),
+                   ~inside.all(axis=(1, 2)))
+
+    def take(self, rows: Rows) -> Stamps:
+        """Return some of the stamps."""
+        return Stamps(self.middle[rows], self.counts[rows], self.valid[rows], self.noise[rows],
+                      self.saturated[rows], self.cut[rows])
