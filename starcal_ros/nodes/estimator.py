@@ -64,6 +64,7 @@ class Estimator(ManagedNode):
                             self.scenario.estimator.wait_for_subscribers, self._listen)]
 
     def _listen(self) -> None:
+        self._timers_running.pop()      # has ended itself
         self._inputs += [
             MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
             MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
@@ -72,7 +73,7 @@ class Estimator(ManagedNode):
     def deactivate(self) -> None:
         """Use up what has arrived and say where the calibration stands."""
         for timer in self._timers_running:
-            self.destroy_timer(timer)
+            runtime.end_timer(self, timer)
         for subscription in self._inputs:
             subscription.take_all()
         self._publish_diagnostics()

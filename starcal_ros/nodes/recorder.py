@@ -99,7 +99,7 @@ class Recorder(ManagedNode):
     def deactivate(self) -> None:
         """Write what has arrived and subscribe to nothing."""
         for timer in self._timers_running:
-            self.destroy_timer(timer)
+            runtime.end_timer(self, timer)
         for channel in self._channels.values():
             if channel.subscription:
                 channel.subscription.take_all()

@@ -15,6 +15,10 @@ A node may have
 
 Several nodes in one process share one thread, so a callback must not wait for what another of
 them has yet to do. Where the process is asked to end, the node that was made last is closed first.
+
+rclpy's EventsExecutor would take a third less processor time at real time. But it queues an event
+a message, also for those that `flow` has taken already: at full speed timers never got their turn,
+and a service was answered after 6 s, not 0.6 s.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import wraps
 from typing import Any
 
 import rclpy
@@ -45,6 +50,7 @@ USER_ERRORS = (ConfigError, ParameterException, RecordError)
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _stop_requested_at: float | None = None
+_failure: Exception | None = None
 
 
 def stop_requested() -> bool:
@@ -63,9 +69,31 @@ def request_stop(*_: object) -> None:
     _stop_requested_at = _stop_requested_at or time.monotonic()
 
 
+def guarded(callback: Callable[..., None]) -> Callable[..., None]:
+    """Return a callback that ends the process in place of raising one of USER_ERRORS.
+
+    An executor would tell more of it than the user can use.
+    """
+    @wraps(callback)            # rclpy looks at the arguments
+    def call(*args: Any) -> None:
+        global _failure
+        try:
+            callback(*args)
+        except USER_ERRORS as error:
+            _failure = _failure or error
+            request_stop()
+    return call
+
+
 def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
-    """Return a timer that real time drives, whatever /clock says to the node."""
-    return node.create_timer(period_s, callback, clock=_STEADY)
+    """Return a guarded timer that real time drives, whatever /clock says to the node."""
+    return node.create_timer(period_s, guarded(lambda: callback()), clock=_STEADY)
+
+
+def end_timer(node: Node, timer: Timer) -> None:
+    """End a timer; one that is destroyed, and not cancelled, may fire some more."""
+    timer.cancel()
+    node.destroy_timer(timer)
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -131,6 +159,8 @@ def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
                 _end(executor, finished)
         except ExternalShutdownException:
             pass
+        if _failure is not None:
+            raise _failure
 
 
 def _end(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
