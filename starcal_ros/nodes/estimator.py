@@ -37,6 +37,7 @@ class Estimator(ManagedNode):
                          'estimator', **options)
         parameters.follow(self, self.scenario, self._change)
         self._stream: Stream | None = None
+        self.inputs: list[MatchedSubscription] = []
         self.start()
 
     # Lifecycle
@@ -56,8 +57,7 @@ class Estimator(ManagedNode):
 
     def activate(self) -> None:
         """Listen to the sensors, as soon as the results have the listeners they must have."""
-        self._inputs: list[MatchedSubscription] = []
-        self._diagnostics = Diagnostics(self, self._inputs)
+        self._diagnostics = Diagnostics(self, self.inputs)
         self._timers_running = [
             runtime.steady_timer(self, _DIAGNOSTICS_S, self._publish_diagnostics),
             when_subscribed(self, self._results.publishers,
@@ -65,7 +65,7 @@ class Estimator(ManagedNode):
 
     def _listen(self) -> None:
         self._timers_running.pop()      # has ended itself
-        self._inputs += [
+        self.inputs += [
             MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
             MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
                                 raw=True)]
@@ -74,11 +74,12 @@ class Estimator(ManagedNode):
         """Use up what has arrived and say where the calibration stands."""
         for timer in self._timers_running:
             runtime.end_timer(self, timer)
-        for subscription in self._inputs:
+        for subscription in self.inputs:
             subscription.take_all()
         self._publish_diagnostics()
-        for subscription in self._inputs:
+        for subscription in self.inputs:
             subscription.destroy()
+        self.inputs.clear()
 
     def cleanup(self) -> None:
         """Deliver the results and forget the calibration."""

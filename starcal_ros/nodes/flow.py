@@ -290,12 +290,13 @@ class MatchedSubscription:
             return self._node.create_subscription(
                 self._type, self._topic, on_message, qos, raw=self._raw, event_callbacks=events)
 
-    def look_again(self) -> None:
-        """Hand over what waits; ask for less of the publishers where that has to be."""
+    def look_again(self) -> int:
+        """Hand over what waits, and return how much; ask the publishers for less if need be."""
         if self._outdated:
             self._recreate()
         # What arrives while messages are taken does not always wake the executor once more.
-        self._hand_over(_take_waiting(self._subscription, BATCH))
+        self._hand_over(waiting := _take_waiting(self._subscription, BATCH))
+        return len(waiting)
 
     def _on_message(self, message: Any) -> None:
         self._hand_over([message, *_take_waiting(self._subscription, BATCH - 1)])

@@ -11,7 +11,10 @@ A node may have
 
 * ``finished``: true when it has nothing left to do; it is then destroyed, and when none is left
   the process ends;
-* ``close()``: called once before it is destroyed, whatever ended it.
+* ``close()``: called once before it is destroyed, whatever ended it;
+* ``inputs``: subscriptions (`flow.MatchedSubscription`) that the loop empties itself. The executor
+  builds a set of all that it waits for, twice a message, which takes longer than the message does;
+  so where all nodes of a process have inputs it gets a turn now and then, for the rest.
 
 Several nodes in one process share one thread, so a callback must not wait for what another of
 them has yet to do. Where the process is asked to end, the node that was made last is closed first.
@@ -42,6 +45,8 @@ from rclpy.timer import Timer
 from starcal_ros.cdr import RecordError
 from starcal_ros.parameter import ConfigError
 
+_LOOK_S = 0.005                 # between looks at the inputs where nothing comes
+_CALLBACKS = 4                  # of the executor, between two stretches with the inputs
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_USAGE = 0, 2
 
@@ -153,7 +158,7 @@ def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
             executor.add_node(nodes[-1])
         try:
             while nodes and not stop_requested():
-                executor.spin_once(timeout_sec=SPIN_S)
+                _turn(executor, nodes)
                 finished = [node for node in nodes if getattr(node, 'finished', False)]
                 nodes[:] = [node for node in nodes if node not in finished]
                 _end(executor, finished)
@@ -161,6 +166,20 @@ def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
             pass
         if _failure is not None:
             raise _failure
+
+
+def _turn(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
+    """Serve nodes for a while, no longer than SPIN_S where nothing comes."""
+    inputs = [getattr(node, 'inputs', ()) for node in nodes]
+    if not all(inputs):
+        executor.spin_once(timeout_sec=SPIN_S)
+        return
+    for _ in range(_CALLBACKS):
+        executor.spin_once(timeout_sec=0.0)
+    ends = time.monotonic() + SPIN_S
+    while time.monotonic() < ends and not stop_requested():
+        if not sum(subscription.look_again() for of_node in inputs for subscription in of_node):
+            time.sleep(_LOOK_S)
 
 
 def _end(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
