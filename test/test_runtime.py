@@ -17,7 +17,7 @@ from pathlib import Path
 import rclpy
 from rclpy.node import Node
 from starcal_ros.parameter import ConfigError
-from starcal_ros.nodes.runtime import run
+from starcal_ros.nodes.runtime import run, steady_timer
 
 
 class Subject(Node):
@@ -26,7 +26,7 @@ class Subject(Node):
     def __init__(self):
         super().__init__('subject')
         self.ticks = 0
-        self.create_timer(0.01, self.tick)
+        steady_timer(self, 0.01, self.tick)
         print('ready', flush=True)
 
     def tick(self):

@@ -34,6 +34,7 @@ class Estimator(ManagedNode):
                          'estimator', **options)
         parameters.follow(self, self.scenario, self._change)
         self._stream: Stream | None = None
+        self.inputs: list[MatchedSubscription] = []
         self.start()
 
     # Lifecycle
@@ -53,15 +54,15 @@ class Estimator(ManagedNode):
 
     def activate(self) -> None:
         """Listen to the sensors, as soon as the results have the listeners they must have."""
-        self._inputs: list[MatchedSubscription] = []
-        self._diagnostics = Diagnostics(self, self._inputs)
+        self._diagnostics = Diagnostics(self, self.inputs)
         self._timers_running = [
             runtime.steady_timer(self, _DIAGNOSTICS_S, self._publish_diagnostics),
             when_subscribed(self, self._results.publishers,
                             self.scenario.estimator.wait_for_subscribers, self._listen)]
 
     def _listen(self) -> None:
-        self._inputs += [
+        self._timers_running.pop()      # has ended itself
+        self.inputs += [
             MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
             MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
                                 raw=True)]
@@ -69,12 +70,13 @@ class Estimator(ManagedNode):
     def deactivate(self) -> None:
         """Use up what has arrived and say where the calibration stands."""
         for timer in self._timers_running:
-            self.destroy_timer(timer)
-        for subscription in self._inputs:
+            runtime.end_timer(self, timer)
+        for subscription in self.inputs:
             subscription.take_all()
         self._publish_diagnostics()
-        for subscription in self._inputs:
+        for subscription in self.inputs:
             subscription.destroy()
+        self.inputs.clear()
 
     def cleanup(self) -> None:
         """Deliver the results and forget the calibration."""

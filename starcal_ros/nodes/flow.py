@@ -26,6 +26,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from rclpy.duration import Duration
 from rclpy.event_handler import (PublisherEventCallbacks, SubscriptionEventCallbacks,
@@ -55,6 +56,7 @@ _POLL = Duration(seconds=0.05)  # a signal is seen between two of these
 _WORTH_TELLING_S = 5.0
 _GRACE_S = 3.0                  # after a stop, to hand over what has been worked out
 _LOOK_S = 0.25                  # between looks for messages that nobody announced
+_LOOKED_AT: WeakKeyDictionary[Node, list[MatchedSubscription]] = WeakKeyDictionary()
 _RETRY_S = 1.0                  # between tries for a subscriber that takes nothing
 
 
@@ -202,7 +204,7 @@ def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
         nonlocal told
         missing = [publisher for publisher in publishers if publisher.subscribers < count]
         if not missing:
-            node.destroy_timer(timer)
+            runtime.end_timer(node, timer)
             callback()
         elif not told and time.monotonic() - began > _WORTH_TELLING_S:
             told = True
@@ -249,8 +251,8 @@ class MatchedSubscription:
         self._durability = LATCHED.durability if latched else STREAM.durability
         self.received, self.lost = 0, 0
         self._subscription = self._create()
-        self._recreation = node.create_guard_condition(self._recreate)
-        self._look = runtime.steady_timer(node, _LOOK_S, self._look_again)
+        self._outdated = False
+        _looked_at(node).append(self)
 
     @property
     def topic(self) -> str:
@@ -269,8 +271,8 @@ class MatchedSubscription:
 
     def destroy(self) -> None:
         """End the subscription."""
-        self._node.destroy_timer(self._look)
-        self._node.destroy_guard_condition(self._recreation)
+        self._callback = lambda messages: None      # for what is under way in the executor
+        _looked_at(self._node).remove(self)
         self._node.destroy_subscription(self._subscription)
 
     def _create(self) -> Subscription[Any]:
@@ -279,19 +281,22 @@ class MatchedSubscription:
         events = SubscriptionEventCallbacks(
             incompatible_qos=self._on_incompatible, message_lost=self._on_lost,
             use_default_callbacks=False)        # each costs time, message by message
+        on_message = runtime.guarded(self._on_message)
         try:
             return self._node.create_subscription(
-                self._type, self._topic, self._on_message, qos, raw=self._raw,
-                event_callbacks=events)
+                self._type, self._topic, on_message, qos, raw=self._raw, event_callbacks=events)
         except UnsupportedEventTypeError:       # by this middleware; the other rclpy skips itself
             events.message_lost = None
             return self._node.create_subscription(
-                self._type, self._topic, self._on_message, qos, raw=self._raw,
-                event_callbacks=events)
+                self._type, self._topic, on_message, qos, raw=self._raw, event_callbacks=events)
 
-    def _look_again(self) -> None:
+    def look_again(self) -> int:
+        """Hand over what waits, and return how much; ask the publishers for less if need be."""
+        if self._outdated:
+            self._recreate()
         # What arrives while messages are taken does not always wake the executor once more.
-        self._hand_over(_take_waiting(self._subscription, BATCH))
+        self._hand_over(waiting := _take_waiting(self._subscription, BATCH))
+        return len(waiting)
 
     def _on_message(self, message: Any) -> None:
         self._hand_over([message, *_take_waiting(self._subscription, BATCH - 1)])
@@ -320,12 +325,21 @@ class MatchedSubscription:
             return
         self._node.get_logger().warning(
             f'{self.topic}: a publisher offers {offer} only, so that is requested now')
-        self._recreation.trigger()          # from the loop: this event belongs to what is replaced
+        self._outdated = True           # replaced later: this event belongs to what is replaced
 
     def _recreate(self) -> None:
         self.take_all()
         self._node.destroy_subscription(self._subscription)
-        self._subscription = self._create()
+        self._subscription, self._outdated = self._create(), False
+
+
+def _looked_at(node: Node) -> list[MatchedSubscription]:
+    """Return the subscriptions of a node that one timer looks at again and again."""
+    if node not in _LOOKED_AT:
+        subscriptions = _LOOKED_AT[node] = []
+        runtime.steady_timer(node, _LOOK_S, lambda: [
+            subscription.look_again() for subscription in list(subscriptions)])
+    return _LOOKED_AT[node]
 
 
 def _take_waiting(subscription: Subscription[Any], limit: int) -> list[Any]:

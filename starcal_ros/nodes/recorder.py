@@ -71,12 +71,19 @@ class Recorder(ManagedNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('recorder', 'recorder', **options)
+        self._channels: dict[str, _Channel] = {}
         self.start()
+
+    @property
+    def inputs(self) -> list[MatchedSubscription]:
+        """Return the subscriptions."""
+        return [channel.subscription for channel in self._channels.values()
+                if channel.subscription]
 
     def configure(self) -> None:
         """Make the file."""
         options = self.scenario.recorder
-        self._channels: dict[str, _Channel] = {}
+        self._channels.clear()
         self._newest_ns: dict[str, int] = {}        # by source
         self._n_bytes = 0
         self._known = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
@@ -99,7 +106,7 @@ class Recorder(ManagedNode):
     def deactivate(self) -> None:
         """Write what has arrived and subscribe to nothing."""
         for timer in self._timers_running:
-            self.destroy_timer(timer)
+            runtime.end_timer(self, timer)
         for channel in self._channels.values():
             if channel.subscription:
                 channel.subscription.take_all()

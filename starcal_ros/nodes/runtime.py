@@ -11,10 +11,17 @@ A node may have
 
 * ``finished``: true when it has nothing left to do; it is then destroyed, and when none is left
   the process ends;
-* ``close()``: called once before it is destroyed, whatever ended it.
+* ``close()``: called once before it is destroyed, whatever ended it;
+* ``inputs``: subscriptions (`flow.MatchedSubscription`) that the loop empties itself. The executor
+  builds a set of all that it waits for, twice a message, which takes longer than the message does;
+  so where all nodes of a process have inputs it gets a turn now and then, for the rest.
 
 Several nodes in one process share one thread, so a callback must not wait for what another of
 them has yet to do. Where the process is asked to end, the node that was made last is closed first.
+
+rclpy's EventsExecutor would take a third less processor time at real time. But it queues an event
+a message, also for those that `flow` has taken already: at full speed timers never got their turn,
+and a service was answered after 6 s, not 0.6 s.
 """
 
 from __future__ import annotations
@@ -24,6 +31,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import wraps
 from typing import Any
 
 import rclpy
@@ -37,6 +45,8 @@ from rclpy.timer import Timer
 from starcal_ros.cdr import RecordError
 from starcal_ros.parameter import ConfigError
 
+_LOOK_S = 0.005                 # between looks at the inputs where nothing comes
+_CALLBACKS = 4                  # of the executor, between two stretches with the inputs
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_USAGE = 0, 2
 
@@ -45,6 +55,7 @@ USER_ERRORS = (ConfigError, ParameterException, RecordError)
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _stop_requested_at: float | None = None
+_failure: Exception | None = None
 
 
 def stop_requested() -> bool:
@@ -63,9 +74,31 @@ def request_stop(*_: object) -> None:
     _stop_requested_at = _stop_requested_at or time.monotonic()
 
 
+def guarded(callback: Callable[..., None]) -> Callable[..., None]:
+    """Return a callback that ends the process in place of raising one of USER_ERRORS.
+
+    An executor would tell more of it than the user can use.
+    """
+    @wraps(callback)            # rclpy looks at the arguments
+    def call(*args: Any) -> None:
+        global _failure
+        try:
+            callback(*args)
+        except USER_ERRORS as error:
+            _failure = _failure or error
+            request_stop()
+    return call
+
+
 def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
-    """Return a timer that real time drives, whatever /clock says to the node."""
-    return node.create_timer(period_s, callback, clock=_STEADY)
+    """Return a guarded timer that real time drives, whatever /clock says to the node."""
+    return node.create_timer(period_s, guarded(lambda: callback()), clock=_STEADY)
+
+
+def end_timer(node: Node, timer: Timer) -> None:
+    """End a timer; one that is destroyed, and not cancelled, may fire some more."""
+    timer.cancel()
+    node.destroy_timer(timer)
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -125,12 +158,28 @@ def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
             executor.add_node(nodes[-1])
         try:
             while nodes and not stop_requested():
-                executor.spin_once(timeout_sec=SPIN_S)
+                _turn(executor, nodes)
                 finished = [node for node in nodes if getattr(node, 'finished', False)]
                 nodes[:] = [node for node in nodes if node not in finished]
                 _end(executor, finished)
         except ExternalShutdownException:
             pass
+        if _failure is not None:
+            raise _failure
+
+
+def _turn(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
+    """Serve nodes for a while, no longer than SPIN_S where nothing comes."""
+    inputs = [getattr(node, 'inputs', ()) for node in nodes]
+    if not all(inputs):
+        executor.spin_once(timeout_sec=SPIN_S)
+        return
+    for _ in range(_CALLBACKS):
+        executor.spin_once(timeout_sec=0.0)
+    ends = time.monotonic() + SPIN_S
+    while time.monotonic() < ends and not stop_requested():
+        if not sum(subscription.look_again() for of_node in inputs for subscription in of_node):
+            time.sleep(_LOOK_S)
 
 
 def _end(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:

@@ -1,0 +1,45 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The description of the interfaces speaks of what there is, and leaves nothing out."""
+
+import ast
+from pathlib import Path
+import re
+
+from starcal_ros import config
+
+TOP = Path(__file__).parents[1]
+NODES = TOP / 'starcal_ros' / 'nodes'
+TEXT = (TOP / 'docs' / 'interfaces.md').read_text()
+
+
+def strings(path):
+    """Return all strings in a module."""
+    return {node.value for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+
+
+def test_every_parameter_that_is_named_exists():
+    named = set(re.findall(r'`((?:estimator|player|recorder|simulation)\.[a-z_.]+)(?:\*)?`', TEXT))
+    assert len(named) > 10
+    for name in named:
+        assert any(key == name or name.endswith('.') and key.startswith(name)
+                   for key in config.parameters()), name
+
+
+def test_every_parameter_that_may_change_is_named():
+    for key, parameter in config.parameters().items():
+        if parameter.spec.changeable:
+            assert f'`{key}`' in TEXT or f'`{key.rpartition(".")[0]}.*`' in TEXT, key
+
+
+def test_every_topic_and_service_is_named():
+    topics = {node.args[0].value for node in ast.walk(ast.parse((NODES / 'topics.py').read_text()))
+              if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'Topic'}
+    assert len(topics) >= 14
+    for topic in topics - {'star_tracker/image_raw'}:
+        assert f'`{topic}`' in TEXT, topic
+    for name in ('estimator', 'player'):
+        for service in strings(NODES / f'{name}.py'):
+            if service.startswith('~/'):
+                assert f'`{name}/{service[2:]}`' in TEXT, service
