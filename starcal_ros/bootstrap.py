@@ -5,8 +5,8 @@
 Each step begins with what the last one knows, and none sees a frame that an earlier one has
 learnt from: what the covariances promise stays true. The recording is divided accordingly ::
 
-    first quarter    self-calibration of the tracked spots: interstar (S24, SCWC) for the pinhole,
-                     then the bundle of the same spots, with distortion, from there
+    first quarter    self-calibration of the tracked spots: interstar (S24, SCOC freed of its
+                     bias), then the bundle of the same spots, from there
     second quarter   identification, then angular distances (W19, fully weighted)
     second half      identification, then the 16-state filter (T18)
 """
@@ -116,11 +116,11 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         steps.append(Step(name, found))
         return found
 
-    pinhole = step('self-calibration', first, steps[0].camera, method='interstar',
-                   interstar_equations='SCWC', estimate=('u0', 'v0', 'f'))
+    found = step('self-calibration', first, steps[0].camera, method='interstar',
+                 interstar_equations='SCOC')
     on_progress(0.15)
     # The same frames again: begun there, but not believed a second time.
-    free = replace(steps[0].camera, intrinsics=pinhole.intrinsics)
+    free = replace(steps[0].camera, intrinsics=found.intrinsics)
     camera = step('bundle of the spots', first, free, method='bundle')
     on_progress(0.25)
     numbered = identify(gyro, Frames.concatenate((second, rest)), camera, scenario,
@@ -164,11 +164,11 @@ def identify(gyro: GyroSamples, frames: Frames, camera: CameraEstimate, scenario
     identifier = Identifier(CameraGuess(detector(scenario.camera), camera.intrinsics,
                                         camera.covariance), observer(scenario.observer))
     turns = _turns(gyro, frames, scenario)
-    catalog_id = np.zeros_like(frames.catalog_id)
+    catalog_id, flux = np.zeros_like(frames.catalog_id), 10.0**(-0.4 * frames.magnitude)
     for k, (stamp_ns, turn) in enumerate(zip(frames.stamp_ns.tolist(), turns)):
         rows = slice(frames.first[k], frames.first[k + 1])
-        found = identifier.identify(frames.uv_raster[rows], -frames.magnitude[rows], stamp_ns,
-                                    turn, frames.sigma[rows])
+        found = identifier.identify(frames.uv_raster[rows], flux[rows], stamp_ns, turn,
+                                    frames.sigma[rows])
         if found is not None:
             catalog_id[rows] = found.catalog_id
         if k % 100 == 0:

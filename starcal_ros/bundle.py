@@ -163,14 +163,7 @@ def attitudes(spots: Spots, r_s: Array) -> Array:
     """
     B = np.zeros((int(spots.frame[-1]) + 1, 3, 3))
     np.add.at(B, spots.frame, r_s[:, :, None] * spots.u_i[:, None, :])
-    return wahba(B)
-
-
-def wahba(B: Array) -> Array:
-    """Return the rotation C, (..., 3, 3), that maximises tr(C' B), B the sum of r u'."""
-    U, _, Vt = np.linalg.svd(B)
-    U[..., :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[..., None]
-    return U @ Vt
+    return rotation.wahba(B)
 
 
 class _State(NamedTuple):

@@ -34,5 +34,6 @@ class IntrinsicsConfig:
         'Singular values that singular_value uses, 1 the largest', '', 1, 3)] = (2, 3)
     interstar_equations: Annotated[str, Spec(
         'Equations of interstar: traditional (T, identified stars) or self-calibration (S), '
-        'without (O) or with (W) the constraint of the optical path (S24)',
-        choices=('TCOC', 'TCWC', 'SCOC', 'SCWC'))] = 'SCWC'
+        'without (O) or with (W) the constraint of the optical path (S24). SCOC is freed of its '
+        'bias, and the one that knows distortion without names',
+        choices=('TCOC', 'TCWC', 'SCOC', 'SCWC'))] = 'SCOC'

@@ -142,13 +142,7 @@ def align(u_i: Array, w_s: Array, weight: Array) -> Array:
     weight : (..., n, 1) array
         1 / sigma of each.
     """
-    left, _, right = np.linalg.svd(np.swapaxes(w_s * weight, -1, -2) @ (u_i * weight))
-    C_si = left @ right
-    reflected = np.linalg.det(C_si) < 0.0
-    if reflected.any():
-        left[..., 2] *= np.where(reflected, -1.0, 1.0)[..., None]
-        return left @ right
-    return C_si
+    return rotation.wahba(np.swapaxes(w_s * weight, -1, -2) @ (u_i * weight))
 
 
 def direction_slopes(frame: Frame) -> Array:

@@ -71,7 +71,8 @@ class Places:
             np.bincount(frame[usable], minlength=len(frames)), self._observer)
         return Placed(
             Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf)),
-            measured, list(_notices(frames, frame, sigma, measured, row)))
+            measured, [*unmeasured(frames, sigma, measured),
+                       *_unknown(frames.catalog_id[measured & (row < 0)])])
 
     def centroids(self, frames: Frames) -> tuple[Array, Array, Mask]:
         """Return the centroids of frames as they can be used, with or without a place.
@@ -92,16 +93,19 @@ class Places:
         return uv, sigma, measured
 
 
-def _notices(frames: Frames, frame: NDArray[np.int64], sigma: NDArray[np.float64], measured: Mask,
-             row: NDArray[np.int64]) -> Iterator[tuple[object, str]]:
+def unmeasured(frames: Frames, sigma: Array, measured: Mask) -> Iterator[tuple[object, str]]:
+    """Yield the notice on the centroids that can not be used, if there are any."""
     for k in np.flatnonzero(~measured)[:1]:
+        stamp_ns = frames.stamp_ns[np.searchsorted(frames.first, k, side='right') - 1]
         u, v = frames.uv_raster[k]
         yield 'star', (
-            f'star {frames.catalog_id[k]} of the frame at {frames.stamp_ns[frame[k]]} ns has '
-            f'u, v = {u:g}, {v:g} and sigma {sigma[k]:g}; needs a place on the detector and a '
-            'sigma of {:g} to {:g} px: left out'.format(*SIGMA_PX))
-    unknown = frames.catalog_id[measured & (row < 0)]
-    for number in np.unique(unknown[unknown != 0])[:_NAMED].tolist():
+            f'star {frames.catalog_id[k]} of the frame at {stamp_ns} ns has u, v = {u:g}, {v:g} '
+            f'and sigma {sigma[k]:g}; needs a place on the detector and a sigma of '
+            '{:g} to {:g} px: left out'.format(*SIGMA_PX))
+
+
+def _unknown(numbers: NDArray[np.int64]) -> Iterator[tuple[object, str]]:
+    for number in np.unique(numbers[numbers != 0])[:_NAMED].tolist():
         yield number, f'star number {number} is not in the catalogue: left out'
-    if (unknown == 0).any():
+    if (numbers == 0).any():
         yield 0, 'stars without a number (catalog_id 0) are left out'

@@ -126,3 +126,14 @@ def orthonormalized(C: Array) -> Array:
     One Newton step of the polar decomposition; the error left is the square of the one given.
     """
     return 1.5 * C - 0.5 * C @ np.swapaxes(C, -1, -2) @ C
+
+
+def wahba(B: Array) -> Array:
+    """Return the rotation C, (..., 3, 3), that maximises tr(C' B), B the sum of r_a r_b'.
+
+    It takes the directions r_b nearest to the r_a: Wahba's problem, by singular values (Markley,
+    Journal of the Astronautical Sciences 36, 1988).
+    """
+    U, _, Vt = np.linalg.svd(B)
+    U[..., :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[..., None]
+    return U @ Vt

@@ -179,17 +179,10 @@ def _correction(carried: Array, w_s: Array, alike: float) -> Array | None:
     if votes[best] < needed:
         return None
     chosen = agree[best]
-    return _turned(carried[track[chosen]], w_s[spot[chosen]])
+    return rotation.wahba(w_s[spot[chosen]].T @ carried[track[chosen]])
 
 
 def _apart(a: Array, b: Array) -> Array:
     """Return the squared distance of each of a (n, 3) from each of b (m, 3), (n, m)."""
     return (np.einsum('ni,ni->n', a, a)[:, None] + np.einsum('mi,mi->m', b, b)
             - 2.0 * a @ b.T)
-
-
-def _turned(before: Array, after: Array) -> Array:
-    """Return the rotation C, (3, 3), for which ``before @ C.T`` is nearest to after: Wahba."""
-    U, _, Vt = np.linalg.svd(after.T @ before)
-    U[:, 2] *= np.linalg.det(U) * np.linalg.det(Vt)
-    return U @ Vt

@@ -102,7 +102,7 @@ def test_it_is_the_least_squares_fit_of_all_unknowns(named):
 @pytest.mark.parametrize('named', [True, False])
 def test_covariance_says_the_truth(named):
     """NEES of independent runs lies in its 99.9 % interval."""
-    runs, total = (60 if named else 24), 0.0
+    runs, total = 60, 0.0
     for seed in range(runs):
         rng = np.random.default_rng([3, seed])
         spots, C_si, u, star = scene(rng, 10, 40)
@@ -162,7 +162,7 @@ def test_attitudes_solve_wahbas_problem():
     spots, C_si, *_ = scene(rng, 5, 30, sigma=0.0)
     found = bundle.attitudes(spots, camera.unproject(spots.uv, TRUE, PITCH))
     np.testing.assert_allclose(found, C_si, atol=1e-9)
-    mirrored = bundle.wahba(np.diag([1.0, 1.0, -1.0]))
+    mirrored = rotation.wahba(np.diag([1.0, 1.0, -1.0]))
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
 
 
@@ -202,11 +202,11 @@ def test_frames_that_show_nothing_give_no_camera(nameless):
     assert method.estimate() is None
 
 
-def test_camera_that_does_not_fit_is_said_to(nameless):
+def test_spots_that_no_camera_fits_give_none_and_it_is_said(nameless):
+    """Random spots: the tracks are chance, and next to nothing of them agrees with any camera."""
     _, frames, scenario = nameless
     rng = np.random.default_rng(8)
     uv = rng.uniform(0.0, 1023.0, frames.uv_raster.shape)
     method = calibration.start(scenario)
     method.add_frames(replace(frames, uv_raster=uv)[:40])
-    estimate = method.estimate()
-    assert estimate is None or np.isfinite(estimate.covariance).all()
+    assert method.estimate() is None

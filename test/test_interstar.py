@@ -206,3 +206,56 @@ def test_covariance_is_that_of_the_errors(method):
     error = (x - TRUTH)[..., None]
     nees = (np.swapaxes(error, -1, -2) @ np.linalg.solve(covariance, error))[:, 0, 0]
     assert float(nees.mean()) in consistency.mean_interval(3, n, 0.999)
+
+
+def test_expectation_of_the_equations_is_known():
+    """The mean over noises n and -n, which cancels what is odd; S without constraint."""
+    n, point = 150, Point(frames=20, stars=10)
+    v, C_si = scenes(np.random.default_rng(11), n, point)
+    uv = spots(v, C_si)
+    noise = NOISE_PX * np.random.default_rng(12).standard_normal(uv.shape)
+    look = partial(interstar.pinhole, intrinsics=np.broadcast_to(TRUTH, (n, 3)),
+                   pitch_mm=PITCH_MM, constrained=False)
+    value = 0.5 * (interstar.equations(look(uv + noise)).value
+                   + interstar.equations(look(uv - noise)).value)
+    known = interstar.bias(look, uv + noise, NOISE_PX)
+    chance = np.std(value - known.value, axis=0) / np.sqrt(n)
+    assert (np.abs(np.mean(value - known.value, axis=0)) < 4.0 * chance).all()
+    assert np.abs(known.value.mean(axis=0))[2] > 50.0 * chance[2]       # f: there is a bias
+    ratio = known.squares / known.expected
+    sigma = np.sqrt(known.variance) / known.expected
+    assert abs(ratio.mean() - 1.0) < 4.0 * sigma.mean() / np.sqrt(n)
+    # The variance leaves out a part of 1/NS or so.
+    low, high = consistency.rms_interval(n, 0.999)
+    assert low < np.sqrt(np.mean(((ratio - 1.0) / sigma)**2)) < high * (1.0 + 1.0 / point.stars)
+
+
+def test_expectation_is_the_same_with_a_lens_and_spots_missing():
+    """Spots never seen together with others add nothing; all seen is the case without a mask."""
+    v, uv = draw(13)
+    seen = np.ones((POINT.frames, POINT.stars), bool)
+    look = partial(interstar.lens, intrinsics=DISTORTED, pitch_mm=PITCH_MM,
+                   estimated=(0, 1, 2, 3), constrained=False)
+    plain = interstar.bias(partial(look, seen=seen), uv[0] - 768.0, NOISE_PX)
+    masked = interstar.bias(partial(look, seen=seen), uv[0] - 768.0, NOISE_PX, seen)
+    wider = np.concatenate((uv[0], np.full((POINT.frames, 1, 2), 700.0)), axis=1) - 768.0
+    once = np.zeros((POINT.frames, 1), bool)
+    once[3] = True
+    more = np.concatenate((seen, once), axis=1)
+    added = interstar.bias(partial(look, seen=more), wider, NOISE_PX, more)
+    for a, b, c in zip(plain, masked, added):
+        # Rounding of numeric derivatives, and of squares: of n q q, which all but cancel.
+        np.testing.assert_allclose(a, b, rtol=1e-5)
+        np.testing.assert_allclose(a, c, rtol=1e-5)
+
+
+@pytest.mark.parametrize('rounds', [1, 3])
+def test_lens_takes_one_camera_or_one_a_round(rounds):
+    _, uv = draw(14, rounds)
+    uv, seen = uv - 768.0, np.stack([some_missing(k) for k in range(rounds)])
+    cameras = DISTORTED + 0.01 * np.arange(rounds)[:, None] * np.eye(7)[2]
+    sight = interstar.lens(uv, cameras, PITCH_MM, (0, 2, 3), True, seen)
+    for k in range(rounds):
+        one = interstar.lens(uv[k], cameras[k], PITCH_MM, (0, 2, 3), True, seen[k])
+        for a, b in zip(sight, one):
+            np.testing.assert_allclose(a[..., k, :, :], b, rtol=1e-13, atol=1e-18)

@@ -21,7 +21,7 @@ from starcal_ros.bundle import MIN_STARS, Spots, adjust, attitudes, identified
 from starcal_ros.camera_estimate import CameraEstimate, beginning, with_camera
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, GyroSamples, newer
-from starcal_ros.places import Places
+from starcal_ros.places import Places, unmeasured
 from starcal_ros.spots import SpotTracker
 
 Array = NDArray[np.float64]
@@ -139,7 +139,9 @@ class Bundle:
             use &= ~poor
         if not use.any():
             return None
-        uv, sigma, _ = self._places.centroids(frames)
+        uv, sigma, measured = self._places.centroids(frames)
+        for key, text in unmeasured(frames, sigma, measured):
+            self._notice(key, text)
         kept, number = np.unique(frame[use], return_inverse=True)
         point = np.unique(followed.track[use], return_inverse=True)[1]
         spots = Spots(number, uv[use], sigma[use], np.zeros((len(number), 3)), point)

@@ -33,7 +33,7 @@ from starcal_ros.config import Scenario
 from starcal_ros.interstar_fit import Fit, Frame, Window, followed, identified
 from starcal_ros.measurements import Frames, GyroSamples, newer
 from starcal_ros.parameter import ConfigError
-from starcal_ros.places import Places
+from starcal_ros.places import Places, unmeasured
 from starcal_ros.scenario import detector
 from starcal_ros.spots import SpotTracker
 from starcal_ros.units import NS
@@ -180,7 +180,8 @@ class Interstar:
         if not len(frames):
             return
         followed = self._tracker.follow(frames, gyro)
-        uv, sigma, _ = self._places.centroids(frames)
+        uv, sigma, measured = self._places.centroids(frames)
+        self._notices.update(unmeasured(frames, sigma, measured))
         for k, turn in enumerate(followed.turn):
             if self._turn is not None:
                 self._turn = turn @ self._turn

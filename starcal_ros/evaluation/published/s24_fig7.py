@@ -1,25 +1,23 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""S24 Fig. 7: bias over the number of frames."""
+"""S24 Figure 7: bias of the intrinsics over the number of frames."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from starcal_ros.config import Scenario
-from starcal_ros.evaluation import self2024_grid
 from starcal_ros.evaluation.outcome import Outcome
+from starcal_ros.evaluation.self2024_sweep import sweep
 
-RUNS = self2024_grid.RUNS
-PAPER_F_UM: dict[tuple[str, float, int, int], float] = {}
-NOTES = ('Of the traditional methods the bias is far below the total error, as S24 says.',)
+RUNS = 400
+PAPER_F_UM: Mapping[tuple[float, str], float] = {}
+NOTES = ('The paper states no number of this figure.',)
 
 
 def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
-    """Run the grid; of the scenario only the seed matters."""
-    return self2024_grid.figure(
-        'S24 Fig. 7, bias over the number of frames', self2024_grid.over_frames(),
-        'frames', True, runs, scenario.simulation.seed, work, on_progress, NOTES,
-        PAPER_F_UM)
+    """Run the figure."""
+    return sweep('S24 Figure 7: bias over NF', 'frames', 'bias', PAPER_F_UM, NOTES, runs,
+                 scenario.simulation.seed, work, on_progress)

@@ -1,0 +1,82 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Time of S24's equations: `OPENBLAS_NUM_THREADS=1 python bench/interstar.py`.
+
+As written: all NF (NF - 1) NS (NS - 1) / 4 rows of A and e (S24 Eq. 11, 12), then A'A and A'e.
+Reduced: the same two from moments of the directions (`starcal_ros.interstar`), rounds batched.
+The best of several tries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import interstar
+from starcal_ros.evaluation.self2024 import (METHODS, PITCH_MM, TRUTH, Point, run_file, scenes,
+                                             spots)
+
+Array = NDArray[np.float64]
+
+POINTS = (Point(frames=100, stars=20), Point(frames=50, stars=20), Point(frames=50, stars=40))
+AT_ONCE = 4
+RATIO, MS_A_ROUND = 100.0, 20.0                 # at NF = 100, NS = 20
+
+
+def best(task: Callable[[], object], tries: int) -> float:
+    """Return the least time of some tries [ms]."""
+    times = []
+    for _ in range(tries):
+        begin = perf_counter()
+        task()
+        times.append(perf_counter() - begin)
+    return 1e3 * min(times)
+
+
+def as_written(sight: interstar.Sight) -> tuple[Array, Array]:
+    """Return A'A and A'e of S, one round, from all pairs of frames and of stars."""
+    w, b = np.moveaxis(sight.w, 0, -1), np.moveaxis(sight.instruments, (0, 1), (-1, -2))
+    i, j = np.triu_indices(w.shape[1], 1)
+    m, n = np.triu_indices(w.shape[0], 1)
+    q = np.einsum('mpa,mpa->mp', w[:, i], w[:, j])
+    slope = (np.einsum('mpa,mpak->mpk', w[:, i], b[:, j])
+             + np.einsum('mpa,mpak->mpk', w[:, j], b[:, i]))
+    A, e = (slope[m] - slope[n]).reshape(-1, 3), (q[m] - q[n]).ravel()
+    return A.T @ A, A.T @ e
+
+
+def reduced(uv: Array, x: Array) -> tuple[Array, Array]:
+    """Return the same of some rounds."""
+    sight = interstar.pinhole(uv, x, PITCH_MM, True)
+    equations = interstar.equations(sight)
+    return equations.product(sight.instruments), equations.value
+
+
+def main() -> None:
+    """Print the times."""
+    np.empty(31 << 20, np.uint8)                # as in self2024.run_file
+    print("A'A and A'e of the self-calibration, r held")
+    for point in POINTS:
+        v, C_si = scenes(np.random.default_rng(1), AT_ONCE, point)
+        uv = spots(v, C_si)
+        uv = uv + 0.07 * np.random.default_rng(2).standard_normal(uv.shape)
+        x = np.broadcast_to(TRUTH, (AT_ONCE, 3))
+        sight = interstar.pinhole(uv[0], TRUTH, PITCH_MM, True)
+        for ours, literal in zip(reduced(uv, x), as_written(sight)):
+            np.testing.assert_allclose(ours[0], literal, rtol=1e-5)
+        written = best(lambda: as_written(sight), 5)
+        ours_ms = best(lambda: reduced(uv, x), 40) / AT_ONCE
+        print(f'NF {point.frames:3d}, NS {point.stars:2d}: as written {written:7.1f} ms, reduced '
+              f'{ours_ms:6.3f} ms, {written / ours_ms:5.0f} times'
+              + (f' ({RATIO:.0f} wanted)' if point is POINTS[0] else ''))
+    ms = np.min([run_file(POINTS[0], 1, k, 8)['ms'][:len(METHODS), 0] for k in range(4)], axis=0)
+    print('A round at NF 100, NS 20: '
+          + ', '.join(f'{name} {value:.2f}' for name, value in zip(METHODS, ms))
+          + f', together {ms.sum():.2f} ms of {MS_A_ROUND:.0f} allowed')
+
+
+if __name__ == '__main__':
+    main()
