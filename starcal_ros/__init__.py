@@ -36,10 +36,15 @@ raster pixels (``uv_raster``) on topics. Anything else wears its unit in its nam
 
 Where to look
 -------------
-Mathematics: `rotation`, `camera`, `kalman`, `preintegration`. The sky: `catalog`, `sky`. The
-filter: `estimator`, `acquisition`, `stream`, its options `process_noise`, `augmentation`; what its
-covariance means: `verdict`, `evaluation`.
-Conversions to ROS conventions: `ros_conventions`.
+Mathematics: `rotation`, `camera`, `kalman`, `preintegration`. The sky: `catalog`, `sky`, `places`.
+The filter: `estimator`, `acquisition`, `stream`, `timeline`, its options `process_noise`,
+`augmentation`; what its covariance means: `verdict`, `evaluation`.
+The camera alone: `calibration`, one method a file, on `attitude_free` and `invariants` (single
+frames), `interstar`, `interstar_fit` and `spots` (nameless spots), `bundle`; still images:
+`plates`; cameras of the papers: `published_cameras`; all of it in a row: `bootstrap`.
+Images: `simulation.render`, `imaging.centroid`, `imaging.identify`; what they share: `spot`.
+Conversions to ROS conventions: `ros_conventions`. Calibrations kept: `archive`, `restart`,
+`export`.
 """
 
 __version__ = '0.1.0'

@@ -229,7 +229,7 @@ class AttitudeFree:
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
-        stars, _, notices = self._places.of(frames)
+        stars, notices = self._places.of(frames)
         self._notices.update(notices)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             if stamp_ns <= self._newest_ns:

@@ -33,14 +33,11 @@ class Placed(NamedTuple):
     stars : Stars
         Their apparent places, centroids and sigmas; sigma is infinite where no place is known or
         the centroid can not be used.
-    measured : (n,) bool array
-        Centroids that can be used, with or without a place.
     notices : list of (key, str)
         What a user should know once; a key stands for what is the same.
     """
 
     stars: Stars
-    measured: Mask
     notices: list[tuple[object, str]]
 
 
@@ -71,8 +68,8 @@ class Places:
             np.bincount(frame[usable], minlength=len(frames)), self._observer)
         return Placed(
             Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf)),
-            measured, [*unmeasured(frames, sigma, measured),
-                       *_unknown(frames.catalog_id[measured & (row < 0)])])
+            [*unmeasured(frames, sigma, measured),
+             *_unknown(frames.catalog_id[measured & (row < 0)])])
 
     def centroids(self, frames: Frames) -> tuple[Array, Array, Mask]:
         """Return the centroids of frames as they can be used, with or without a place.

@@ -302,7 +302,7 @@ class Stream:
             yield from self._process(frames[low:high], tracked)
 
     def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
-        stars, _, notices = self._places.of(frames)
+        stars, notices = self._places.of(frames)
         for key, text in notices:
             self._notice(key, text)
         self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())

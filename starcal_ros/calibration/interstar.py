@@ -143,7 +143,7 @@ class Interstar:
     # Coming in
 
     def _take_identified(self, frames: Frames) -> None:
-        stars, _, notices = self._places.of(frames)
+        stars, notices = self._places.of(frames)
         self._notices.update(notices)
         usable = np.isfinite(stars.sigma)
         for low, high in zip(frames.first[:-1], frames.first[1:]):
