@@ -70,9 +70,3 @@ def test_linked_files_exist(page):
 def test_readme_is_one_screen_and_one_figure():
     text = PAGES['README.md']
     assert len(text.splitlines()) <= 70 and text.count('![') == 1
-
-
-def test_topic_table_lists_the_topics_of_the_suite():
-    topics = pytest.importorskip('starcal_ros.nodes.topics', exc_type=ImportError)
-    for topic in topics.TOPICS:
-        assert f'`{topic.name}`' in PAGES['docs/topics.md'], topic.name
