@@ -11,14 +11,14 @@ NAME = 'starcal_ros'
 MANIFEST = ElementTree.parse('package.xml').getroot()
 COMMANDS = {
     'starcal': 'starcal_ros.cli:main',
-    'star_tracker_sim': 'starcal_ros.nodes.star_tracker_sim:main',
-    'gyro_sim': 'starcal_ros.nodes.gyro_sim:main',
-    'estimator': 'starcal_ros.nodes.estimator:main',
-    'intrinsics_estimator': 'starcal_ros.nodes.intrinsics_estimator:main',
-    'recorder': 'starcal_ros.nodes.recorder:main',
-    'player': 'starcal_ros.nodes.player:main',
-    'watch': 'starcal_ros.nodes.watch:main',
-    'composed': 'starcal_ros.nodes.composed:main',
+    'star_tracker_sim': 'starcal_ros.nodes.programs:star_tracker_sim',
+    'gyro_sim': 'starcal_ros.nodes.programs:gyro_sim',
+    'estimator': 'starcal_ros.nodes.programs:estimator',
+    'intrinsics_estimator': 'starcal_ros.nodes.programs:intrinsics_estimator',
+    'recorder': 'starcal_ros.nodes.programs:recorder',
+    'player': 'starcal_ros.nodes.programs:player',
+    'watch': 'starcal_ros.nodes.programs:watch',
+    'composed': 'starcal_ros.nodes.programs:composed',
 }
 DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
 

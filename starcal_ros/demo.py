@@ -49,7 +49,7 @@ def node_command(name: str, parameters: Mapping[str, object], params_file: Path 
     """
     if find_spec('rclpy') is None:
         raise NodeError("no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'")
-    command = [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args']
+    command = [sys.executable, '-m', 'starcal_ros.nodes.programs', name, '--ros-args']
     if params_file is not None:
         command += ['--params-file', str(params_file)]
     for key, value in parameters.items():

@@ -23,8 +23,8 @@ def _nodes(folder):
 
     def run(name, *words, names=()):
         started.append(subprocess.Popen(
-            [sys.executable, '-m', f'starcal_ros.nodes.{name}', *names, '--ros-args', *words],
-            stderr=subprocess.PIPE, text=True, cwd=folder))
+            [sys.executable, '-m', 'starcal_ros.nodes.programs', name, *names, '--ros-args',
+             *words], stderr=subprocess.PIPE, text=True, cwd=folder))
         return started[-1]
     try:
         yield run

@@ -42,7 +42,7 @@ def test_make_has_the_targets():
 def test_ros2_run_finds_the_executable_and_its_parameters(words):
     _, package, executable, *rest = words
     assert package == 'starcal_ros'
-    assert f"'{executable}': 'starcal_ros.nodes.{executable}:main'" in (
+    assert f"'{executable}': 'starcal_ros.nodes.programs:{executable}'" in (
         TOP / 'setup.py').read_text()
     for option, word in pairwise(rest):
         if option == '-p':

@@ -28,7 +28,7 @@ def node(name: str, **parameters: object) -> subprocess.Popen:
     """Start a node with parameters of the group of its own name; it is killed after 30 s."""
     words = [f'{name}.{key}:={value}' for key, value in parameters.items()]
     process = subprocess.Popen(
-        [sys.executable, '-m', f'starcal_ros.nodes.{name}', '--ros-args',
+        [sys.executable, '-m', 'starcal_ros.nodes.programs', name, '--ros-args',
          *(word for pair in words for word in ('-p', pair))], stderr=subprocess.PIPE, text=True)
     timer = threading.Timer(30.0, process.kill)
     timer.daemon = True

@@ -37,7 +37,3 @@ def main(args: list[str] | None = None) -> int:
               f'{", ".join(NODES)}', file=sys.stderr)
         return runtime.STATUS_USAGE
     return runtime.run_together([node_class(name) for name in NODES if name in names], args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

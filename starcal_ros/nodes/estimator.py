@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from datetime import datetime, timezone
 from pathlib import Path
-import sys
 from typing import Any
 
 from sensor_msgs.msg import Imu, PointCloud2
@@ -167,7 +166,3 @@ class Estimator(ManagedNode):
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return runtime.run(Estimator, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-import sys
 from typing import Any
 
 from sensor_msgs.msg import Imu
@@ -46,7 +45,3 @@ class GyroSim(Simulator):
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return runtime.run(GyroSim, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -8,7 +8,6 @@ once more at the end.
 
 from __future__ import annotations
 
-import sys
 from time import perf_counter
 from typing import Any
 
@@ -103,7 +102,3 @@ class IntrinsicsEstimator(ManagedNode):
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return runtime.run(IntrinsicsEstimator, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -12,7 +12,6 @@ where a loop begins again.
 from __future__ import annotations
 
 import heapq
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -149,7 +148,3 @@ def _items(bag: Bag, publishers: dict[str, FlowPublisher]) -> Iterator[Item]:
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return runtime.run(Player, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections import deque
 import json
 import struct
-import sys
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -202,7 +201,3 @@ def _stamp_ns(message: bytes) -> int:
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return runtime.run(Recorder, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-import sys
 from typing import Any
 
 from geometry_msgs.msg import QuaternionStamped
@@ -55,7 +54,3 @@ class StarTrackerSim(Simulator):
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return runtime.run(StarTrackerSim, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -9,7 +9,6 @@ it writes the last view, when it ends.
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
@@ -103,7 +102,3 @@ def points(cloud: PointCloud2) -> NDArray[np.void]:
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     return runtime.run(Watch, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,0 +1,37 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The programs of the nodes: ``ros2 run starcal_ros NAME``, or ``python -m`` this module and NAME.
+
+A node takes a second to import. Python would answer a Ctrl-C in that time with a KeyboardInterrupt
+wherever the import stands: importlib loses some of them, so that the node goes on, and extension
+modules turn others into an ImportError. Up to `runtime.run`, which has handlers of its own,
+the signal therefore ends the process as it ends one that is not written in Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+import signal
+import sys
+
+
+def _program(name: str) -> Callable[[], int]:
+    def main() -> int:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        status: int = import_module(f'starcal_ros.nodes.{name}').main()
+        return status
+    return main
+
+
+composed = _program('composed')
+estimator = _program('estimator')
+gyro_sim = _program('gyro_sim')
+intrinsics_estimator = _program('intrinsics_estimator')
+player = _program('player')
+recorder = _program('recorder')
+star_tracker_sim = _program('star_tracker_sim')
+watch = _program('watch')
+
+if __name__ == '__main__':
+    sys.exit(globals()[sys.argv.pop(1)]())
