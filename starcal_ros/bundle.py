@@ -35,8 +35,6 @@ from scipy.sparse.linalg import splu
 
 from starcal_ros import camera, rotation
 from starcal_ros.estimator import LENS, SCALE
-from starcal_ros.measurements import Frames
-from starcal_ros.places import Placed
 from starcal_ros.units import ARCSEC
 
 Array = NDArray[np.float64]
@@ -49,6 +47,7 @@ MIN_STARS = 2
 _ITERATIONS = 50
 _CONVERGED = 1e-3       # of a sigma; the error left is the square of that
 _HALVINGS = 8
+_BEHIND_PX = 1e6        # residual of a star that the camera can not see: no weight is left
 _MEDIAN = 1.1774        # of the length of a normal vector in the plane, sigma 1 each axis
 _PINNED = 1e-3 * ARCSEC     # sigma of an attitude that is held
 
@@ -141,31 +140,6 @@ def adjust(spots: Spots, intrinsics: Array, C_si: Array, points: Array, pitch_mm
     return Adjusted(state.intrinsics, covariance, state.C_si, state.points, residual, used, scale)
 
 
-def identified(frames: Frames, placed: Placed) -> Spots:
-    """Return the stars with a place, of the frames that have enough of them."""
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-    usable = np.isfinite(placed.stars.sigma)
-    usable &= np.bincount(frame, usable, len(frames))[frame] >= MIN_STARS
-    u_i, uv, sigma = (part[usable] for part in placed.stars)
-    number = np.unique(frame[usable], return_inverse=True)[1]
-    return Spots(number, uv, sigma, u_i, np.full(len(number), -1))
-
-
-def attitudes(spots: Spots, r_s: Array) -> Array:
-    """Return the attitude C_si, (n, 3, 3), of each frame by Wahba's problem (Markley 1988).
-
-    Parameters
-    ----------
-    spots : Spots
-        With places.
-    r_s : (m, 3) array
-        Measured directions of the spots.
-    """
-    B = np.zeros((int(spots.frame[-1]) + 1, 3, 3))
-    np.add.at(B, spots.frame, r_s[:, :, None] * spots.u_i[:, None, :])
-    return rotation.wahba(B)
-
-
 class _State(NamedTuple):
     intrinsics: Array
     C_si: Array
@@ -255,13 +229,17 @@ class _Problem:
             return self.spots.u_i
         return np.where(self.known[:, None], self.spots.u_i, state.points[self.spots.point])
 
-    def residual(self, state: _State) -> Array:
+    def sight(self, state: _State) -> tuple[Array, Mask]:
+        """Return the directions in s, and which lie ahead; others become the boresight."""
         u = self.directions(state)
         r_s = (state.C_si[self.spots.frame] @ u[..., None])[..., 0]
         ahead = r_s[:, 2] > 0.1
-        r_s = np.where(ahead[:, None], r_s, (0.0, 0.0, 1.0))
+        return np.where(ahead[:, None], r_s, (0.0, 0.0, 1.0)), ahead
+
+    def residual(self, state: _State) -> Array:
+        r_s, ahead = self.sight(state)
         uv = camera.project(r_s, state.intrinsics, self.pitch_mm)
-        return np.where(ahead[:, None], self.spots.uv - uv, 1e6)
+        return np.where(ahead[:, None], self.spots.uv - uv, _BEHIND_PX)
 
     def moved(self, state: _State, step: _Step) -> _State:
         """Return the state freed of an error."""
@@ -274,8 +252,7 @@ class _Problem:
 
     def normal(self, state: _State, weight: Array, residual: Array | None = None) -> _Normal:
         spots, p = self.spots, len(state.points)
-        u = self.directions(state)
-        r_s = (state.C_si[spots.frame] @ u[..., None])[..., 0]
+        r_s, _ = self.sight(state)
         _, H_a, H_c = camera.linearize(r_s, state.intrinsics, self.pitch_mm)
         w = weight[:, None, None]
         H_a, H_c = w * H_a, w * H_c[..., self.free] * self.scale

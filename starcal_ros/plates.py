@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from starcal_ros import bundle, calibration, camera, config
+from starcal_ros import bundle, bundle_start, calibration, camera, config
 from starcal_ros.bundle import Adjusted, Spots
 from starcal_ros.camera_estimate import CameraEstimate
 from starcal_ros.config import Scenario
@@ -258,7 +258,7 @@ def refit(images: Plates, estimate: CameraEstimate, scenario: Scenario) -> Refit
     """Fit the attitudes alone, the camera held; None where no image has stars enough."""
     frames = images.frames
     placed = Places(scenario).of(frames)
-    spots = bundle.identified(frames, placed)
+    spots = bundle_start.identified(frames, placed)
     if not len(spots.frame):
         return None
     image = np.repeat(np.arange(len(frames)), frames.star_counts)
@@ -267,7 +267,7 @@ def refit(images: Plates, estimate: CameraEstimate, scenario: Scenario) -> Refit
     pitch_mm = scenario.camera.pixel_pitch_mm
     r_s = camera.unproject(spots.uv, estimate.intrinsics, pitch_mm)
     adjusted = bundle.adjust(
-        spots, estimate.intrinsics, bundle.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
+        spots, estimate.intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
         np.zeros((7, 7)), float(chi2.ppf(scenario.estimator.gate_probability, 2)))
     return Refit(tuple(np.array(images.names)[enough].tolist()), spots, adjusted)
 

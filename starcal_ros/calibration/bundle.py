@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import camera
-from starcal_ros.bundle import MIN_STARS, Spots, adjust, attitudes, identified
+from starcal_ros.bundle import MIN_STARS, Spots, adjust
+from starcal_ros.bundle_start import attitudes, identified
 from starcal_ros.camera_estimate import CameraEstimate, beginning, with_camera
 from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames, GyroSamples, newer
