@@ -48,7 +48,10 @@ def start(tick: str = 'pass', make: str = 'Subject', *args: str) -> subprocess.P
 
 def finish(process: subprocess.Popen) -> tuple[int, str, str]:
     """Return exit status, output and errors, less what the middleware logs about itself."""
-    out, errors = process.communicate(timeout=20)
+    try:
+        out, errors = process.communicate(timeout=20)
+    finally:
+        process.kill()
     return process.returncode, out, re.sub(r'^\[\w+\] \[[\d.]+\] \[rmw.*\n', '', errors,
                                            flags=re.MULTILINE)
 
