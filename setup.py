@@ -15,6 +15,8 @@ COMMANDS = {
     'gyro_sim': 'starcal_ros.nodes.gyro_sim:main',
     'estimator': 'starcal_ros.nodes.estimator:main',
     'intrinsics_estimator': 'starcal_ros.nodes.intrinsics_estimator:main',
+    'centroid_extractor': 'starcal_ros.nodes.centroid_extractor:main',
+    'star_identifier': 'starcal_ros.nodes.star_identifier:main',
     'recorder': 'starcal_ros.nodes.recorder:main',
     'player': 'starcal_ros.nodes.player:main',
     'watch': 'starcal_ros.nodes.watch:main',

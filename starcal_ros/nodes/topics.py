@@ -27,6 +27,8 @@ TOPICS = (
     Topic('star_tracker/centroids', 'sensor_msgs/msg/PointCloud2'),
     Topic('star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True),
     Topic('star_tracker/image_raw', 'sensor_msgs/msg/Image'),
+    Topic('star_tracker/spots', 'sensor_msgs/msg/PointCloud2'),
+    Topic('truth/centroids', 'sensor_msgs/msg/PointCloud2'),
     Topic('truth/attitude', 'geometry_msgs/msg/QuaternionStamped'),
     Topic('truth/parameters', 'std_msgs/msg/Float64MultiArray', latched=True),
     Topic('starcal/imu', 'sensor_msgs/msg/Imu', result=True),
