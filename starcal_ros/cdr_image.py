@@ -87,7 +87,7 @@ def decode_image(message: bytes) -> ImageMessage:
     """
     stamp_ns, frame_id, height, width, encoding, is_bigendian, step, data = _fields(message)
     if encoding not in _ENCODINGS:
-        raise ImageMessageError('unsupported encoding', f'{encoding!r}, supported are '
+        raise ImageMessageError('unsupported encoding', f'{encoding[:40]!r}, supported are '
                                 + ', '.join(_ENCODINGS))
     kind, channels, colours = _ENCODINGS[encoding]
     pixel = np.dtype(('>' if is_bigendian else '<') + kind)
