@@ -34,14 +34,15 @@ def turns(gyro: GyroSamples, frames: Stamped, scenario: Scenario) -> list[Array 
     turned: list[Array | None] = [None] * len(frames)
     if not len(gyro):
         return turned
-    C_sg = mounting_matrix(scenario.mounting)
-    covered = np.flatnonzero((frames.stamp_ns >= gyro.stamp_ns[0])
+    C_sg, period_ns = mounting_matrix(scenario.mounting), 1e9 / scenario.gyro.rate_hz
+    begin_ns = gyro.stamp_ns[0] - int(period_ns)        # a reading's stamp is its end
+    covered = np.flatnonzero((frames.stamp_ns >= begin_ns)
                              & (frames.stamp_ns <= gyro.stamp_ns[-1]))
     if len(covered) < 2:
         return turned
     pieces = preintegration.preintegrate(
         gyro, frames.stamp_ns[covered], np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
-        1e9 / scenario.gyro.rate_hz)
+        period_ns)
     for k, Delta in zip(covered[1:].tolist(), pieces.Delta):
         turned[k] = C_sg @ Delta @ C_sg.T
     return turned

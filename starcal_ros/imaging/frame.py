@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from starcal_ros.camera import Detector
 from starcal_ros.config import Scenario
-from starcal_ros.imaging.centroid import BLENDED, EDGE, ELONGATED, extract
+from starcal_ros.imaging.centroid import EDGE, ELONGATED, extract
 from starcal_ros.measurements import Frames
 from starcal_ros.scenario import detector
 
-LEFT_OUT = BLENDED | EDGE | ELONGATED
-"""Flags of spots whose place is not that of one star: with a neighbour's light in it, cut by the
-edge of the image, or of another shape. A saturated one stays: its place is that of its flanks,
-with the sigma of these, and a search for the attitude needs the brightest stars most."""
+LEFT_OUT = EDGE | ELONGATED
+"""Flags of spots that are no measurement of one star's place: cut by the edge of the image, or of
+another shape than the stars of the frame (docs/imaging.md has what each flag costs)."""
 
 
 class SpotMeter:
@@ -51,8 +50,12 @@ class SpotMeter:
         Raises
         ------
         ValueError
-            As `centroid.extract`.
+            Where the image is not of the camera's size, or as `centroid.extract`.
         """
+        height, width = self.detector.height, self.detector.width
+        if image.shape != (height, width):
+            raise ValueError(f'{image.shape[1]} x {image.shape[0]} pixels, the camera has '
+                             f'{width} x {height} (camera.width, camera.height)')
         spots = extract(image, self._config)
         kept = ((spots.flags & LEFT_OUT) == 0) & self.detector.contains(
             spots.uv_raster - self.detector.centre_raster)

@@ -67,6 +67,8 @@ class CentroidExtractor(ManagedNode):
                 self._measure(message)
             except ImageMessageError as error:
                 self._tally.fault(error.kind, f'image dropped, {error}')
+            except ValueError as error:
+                self._tally.fault('unsuitable image', f'image dropped, unsuitable: {error}')
 
     def _measure(self, message: bytes) -> None:
         stamp_ns, frame_id, image = decode_image(message)
