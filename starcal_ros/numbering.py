@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames of nameless spots, as they come, to Hipparcos numbers: identification of a live stream.
 
-Gyro readings carry the attitude from frame to frame, so a frame waits for those up to its stamp,
-as long as they can be expected. Where there are none, the last rate does.
+Gyro readings carry the attitude from frame to frame, so a frame waits for those up to its stamp.
+Where there are none, the last rate does.
 
 A reading that is not newer than the last one is late and left out. When stamps go back by more
 than `timeline.SET_BACK_S`, the clock was set back, or the last stamp was wrong, and the readings
@@ -28,7 +28,7 @@ from starcal_ros.timeline import NEVER_NS, SET_BACK_S
 from starcal_ros.turns import turns
 
 _SET_BACK_NS = round(SET_BACK_S * 1e9)
-_GYRO_KEPT = 500_000        # readings while no frame comes
+_GYRO_KEPT, _PARTS = 500_000, 1000      # readings while no frame comes, and arrays of them
 
 
 class Numbering:
@@ -73,6 +73,8 @@ class Numbering:
         if len(samples):
             self._gyro.append(samples)
             self._gyro_ns = int(samples.stamp_ns[-1])
+        if len(self._gyro) > _PARTS:
+            self._gyro = [GyroSamples.concatenate(self._gyro)[-_GYRO_KEPT:]]
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
@@ -128,8 +130,7 @@ class Numbering:
     def _gyro_since(self, stamp_ns: int) -> GyroSamples:
         """Return the readings that cover the time since a stamp, and forget older ones."""
         gyro = GyroSamples.concatenate(self._gyro)
-        first = max(int(np.searchsorted(gyro.stamp_ns, stamp_ns, side='right')) - 1, 0,
-                    len(gyro) - _GYRO_KEPT)
+        first = max(int(np.searchsorted(gyro.stamp_ns, stamp_ns, side='right')) - 1, 0)
         self._gyro = [gyro[first:]]
         return self._gyro[0]
 

@@ -70,3 +70,18 @@ def test_without_an_exposure_there_is_no_zero_point_and_no_magnitude():
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(ValueError, match='200 x 300 pixels, the camera has 300 x 200'):
         SpotMeter(SCENARIO).measure(image(PLACES, MAGNITUDES).T, STAMP_NS)
+
+
+def test_by_default_a_full_pixel_is_a_saturated_one():
+    """A full well below the top of the counts would hide it: Arcturus, clipped and believed."""
+    scenario = Scenario().replace({'camera.width': 300, 'camera.height': 200})
+    meter, config = SpotMeter(scenario), scenario.image
+    camera = Renderer(config, meter.detector, scenario.star_tracker.exposure_s,
+                      np.random.default_rng(1))
+    picture = camera.counts(camera.light(
+        np.repeat(PLACES[None], 5, axis=0), np.array([-1.5, *MAGNITUDES[1:]])))
+    spots = extract(picture, config.centroid)
+    assert spots.flags[0] == SATURATED and not spots.flags[1:].any()
+    frame, _ = meter.measure(picture, STAMP_NS)
+    miss = frame.uv_raster[0] - meter.detector.centre_raster - PLACES[0]
+    assert (np.abs(miss) < 4.0 * frame.sigma[0]).all()

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip('tetra3rs')
 
-from starcal_ros import parameter_file                              # noqa: E402
+from starcal_ros import numbering as numbering_module, parameter_file        # noqa: E402
 from starcal_ros.measurements import Frames, GyroSamples            # noqa: E402
 from starcal_ros.numbering import Numbering                         # noqa: E402
 from starcal_ros.simulation import sensors                          # noqa: E402
@@ -147,3 +147,14 @@ def test_mirrored_stars_are_told_and_get_no_number(readings):
     numbers = run(numbering, replace(frames, uv_raster=uv))
     assert not np.concatenate(numbers).any()
     assert len(numbering.take_notices()) == 2 and not numbering.take_notices()
+
+
+def test_readings_without_frames_do_not_fill_the_memory(readings, monkeypatch):
+    monkeypatch.setattr(numbering_module, '_GYRO_KEPT', 500)
+    monkeypatch.setattr(numbering_module, '_PARTS', 100)
+    gyro, frames = readings
+    numbering = Numbering(SCENARIO)
+    for k in range(len(gyro)):
+        numbering.add_gyro(gyro[k:k + 1])
+    assert sum(map(len, numbering._gyro)) <= 600
+    assert_right(run(numbering, frames), frames)

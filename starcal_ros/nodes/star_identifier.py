@@ -2,17 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `star_identifier`: spots in, the same spots with their Hipparcos numbers out.
 
-A frame waits for the gyro readings up to its stamp while these come; a second after the last one
-it goes without them.
+A frame waits for the gyro readings up to its stamp, for a second at most; then it goes without.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
+from itertools import islice
 import sys
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import Imu, PointCloud2
 
 from starcal_ros import cdr, cdr_cloud
@@ -25,9 +28,16 @@ from starcal_ros.nodes.tally import Tally
 from starcal_ros.numbering import Numbering
 from starcal_ros.parameter import ConfigError
 
-_SILENCE_S = 1.0        # without a reading before frames wait for none
+_PATIENCE_S = 1.0       # of a frame, with the gyro
 _LOOK_S = 0.1
 _DRAIN_S = 6.0
+
+
+class _Waiting(NamedTuple):
+    """A frame that has no numbers yet, and when it came."""
+
+    cloud: bytes
+    since_s: float
 
 
 class StarIdentifier(ManagedNode):
@@ -45,7 +55,7 @@ class StarIdentifier(ManagedNode):
             self._numbering = Numbering(self.scenario)
         except (ImportError, ValueError) as error:
             raise ConfigError(str(error)) from None
-        self._clouds: deque[bytes] = deque()        # of the frames that wait
+        self._waiting: deque[_Waiting] = deque()
         self._stars = FlowPublisher(self, PointCloud2, 'star_tracker/centroids',
                                     patience_s=PATIENCE_S)
 
@@ -59,7 +69,6 @@ class StarIdentifier(ManagedNode):
 
     def _listen(self) -> None:
         self._timers_running.pop()      # has ended itself
-        self._heard_s = time.monotonic()
         self.inputs += [
             MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
             MatchedSubscription(self, PointCloud2, 'star_tracker/spots', self._on_spots, raw=True)]
@@ -70,7 +79,7 @@ class StarIdentifier(ManagedNode):
             runtime.end_timer(self, timer)
         for subscription in self.inputs:
             subscription.take_all()
-        self._publish(wait=False)
+        self._publish(self._numbering.process(wait=False))
         for subscription in self.inputs:
             subscription.destroy()
         self.inputs.clear()
@@ -82,7 +91,6 @@ class StarIdentifier(ManagedNode):
         self._stars.destroy()
 
     def _on_gyro(self, batch: list[bytes]) -> None:
-        self._heard_s = time.monotonic()
         for part in decoded(batch, cdr.decode_imu, self._drop):
             self._numbering.add_gyro(part)
         self._advance()
@@ -91,22 +99,22 @@ class StarIdentifier(ManagedNode):
         for message in batch:
             for frames in decoded([message], cdr_cloud.decode_centroids, self._drop):
                 self._numbering.add_frames(frames)
-                self._clouds.append(message)
+                self._waiting.append(_Waiting(message, time.monotonic()))
         self._advance()
 
     def _drop(self, why: str) -> None:
         self._tally.fault('damaged message', why)
 
     def _advance(self) -> None:
-        if self._clouds:
-            gyro = self.inputs[0]
-            self._publish(wait=gyro.publishers > 0
-                          and time.monotonic() - self._heard_s < _SILENCE_S)
+        """Publish what need not wait for the gyro, or has waited long enough."""
+        self._publish(self._numbering.process(wait=True))
+        while self._waiting and (time.monotonic() - self._waiting[0].since_s > _PATIENCE_S
+                                 or not self.inputs[0].publishers):
+            self._publish(islice(self._numbering.process(wait=False), 1))
 
-    def _publish(self, wait: bool) -> None:
-        """Publish the frames that have their numbers by now."""
-        for number in self._numbering.process(wait):
-            message = self._clouds.popleft()
+    def _publish(self, numbers: Iterable[NDArray[np.int64]]) -> None:
+        for number in numbers:
+            message = self._waiting.popleft().cloud
             try:
                 message = cdr_cloud.with_numbers(message, number)
             except cdr.RecordError as error:
