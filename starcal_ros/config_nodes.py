@@ -56,4 +56,5 @@ class PlayerConfig:
     topics: Annotated[Strings, Spec(
         'Topics to publish; empty is all but the results (starcal/*)')] = ()
     wait_for_subscribers: Annotated[int, Spec(
-        'Subscribers that each sensor topic must have before the replay begins', '', 0, 100)] = 0
+        'Subscribers that each sensor topic must have before the replay begins: the gyro, and '
+        'centroids, or else spots, or else images', '', 0, 100)] = 0

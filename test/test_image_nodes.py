@@ -21,9 +21,10 @@ from peer import PATIENCE_S, Peer                                   # noqa: E402
 from starcal_ros import parameter_file, rotation                    # noqa: E402
 from starcal_ros.cdr import Messages                                # noqa: E402
 from starcal_ros.cdr_cloud import decode_centroids, encode_centroids        # noqa: E402
-from starcal_ros.cdr_image import encode_image                      # noqa: E402
+from starcal_ros.cdr_image import encode_image, IMAGE_TYPE          # noqa: E402
 from starcal_ros.imaging.frame import SpotMeter                     # noqa: E402
 from starcal_ros.measurements import Frames                         # noqa: E402
+from starcal_ros.record_writer import Writer                        # noqa: E402
 from starcal_ros.simulation import sensors                          # noqa: E402
 from starcal_ros.simulation.truth import Truth                      # noqa: E402
 
@@ -124,6 +125,32 @@ def test_images_lead_to_an_attitude_and_to_the_right_numbers(start, parameters, 
     phi = rotation.log(true @ rotation.exp(values[1:4]).T)          # T18 Eq. 7
     sigma = np.sqrt(values[17:].reshape(16, 16).diagonal()[:3])
     assert (np.abs(phi) < 5.0 * sigma).all()
+
+
+def test_images_of_a_recording_are_played_to_the_same_numbers(start, parameters, peer, tmp_path):
+    """None is missed, though nobody subscribes to the centroids in the recording."""
+    count, path = 6, tmp_path / 'images.mcap'
+    tracker, simulator = sensors.star_tracker(SCENARIO), sensors.images(SCENARIO)
+    truth = tracker.next(count)
+    with Writer(path) as writer:
+        writer.write_imu('/imu/data_raw', sensors.gyro(SCENARIO).next(300))
+        for stamp_ns in truth.stamp_ns.tolist():
+            writer.write('/star_tracker/image_raw', IMAGE_TYPE, encode_image(
+                stamp_ns, simulator.image(stamp_ns)), stamp_ns)
+        writer.write_centroids('/star_tracker/spots', truth[:1])
+    stars = listen(peer, PointCloud2, 'star_tracker/centroids')
+    nodes = [start(name, *parameters, '-p', f'{name}.wait_for_subscribers:=1')
+             for name in ('star_identifier', 'centroid_extractor')]
+    player = start('player', '-p', f'player.bag:={path}', '-p', 'player.rate:=0.0',
+                   '-p', 'player.wait_for_subscribers:=1',
+                   '-p', 'player.topics:=[/imu/data_raw,/star_tracker/image_raw]')
+    peer.until(lambda: len(stars) == count)
+    assert player.wait(PATIENCE_S) == 0
+    end(nodes[1])
+    assert f'{count - 1} frames tracked' in end(nodes[0])
+    found = frames_of(stars)
+    np.testing.assert_array_equal(found.stamp_ns, truth.stamp_ns)
+    assert np.isin(truth.catalog_id, found.catalog_id).mean() > 0.85
 
 
 def test_what_is_no_image_is_said_once_a_kind_and_counted(start, parameters, peer):

@@ -46,7 +46,9 @@ TOPICS = (
     Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result=True),
     Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True),
 )
-SENSORS = tuple(topic.name for topic in TOPICS[:2])
+GYRO = 'imu/data_raw'
+STARS = ('star_tracker/centroids', 'star_tracker/spots', 'star_tracker/image_raw')
+"""What star trackers deliver: each is made of the next where it is not there."""
 
 
 def message_type(type_name: str) -> type | None:
