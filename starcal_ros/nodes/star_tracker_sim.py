@@ -21,6 +21,7 @@ from starcal_ros.nodes import messages, parameters, runtime
 from starcal_ros.nodes.flow import FlowPublisher
 from starcal_ros.nodes.pacing import Item
 from starcal_ros.nodes.simulator import Simulator
+from starcal_ros.parameter import ConfigError
 from starcal_ros.scenario import detector, intrinsics
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import VECTOR_LABEL
@@ -35,9 +36,12 @@ class StarTrackerSim(Simulator):
         super().__init__('star_tracker_sim', **options)
         scenario = parameters.declare(self, 'camera', 'mounting', 'gyro', 'star_tracker',
                                       'image', 'motion', 'observer', 'truth', 'simulation')
-        self._simulator = sensors.star_tracker(scenario)
+        try:
+            self._simulator = sensors.star_tracker(scenario)
+            self._renderer = sensors.images(scenario) if scenario.simulation.images else None
+        except ValueError as error:         # a catalogue that does not reach so deep
+            raise ConfigError(str(error)) from None
         self._truth = self._simulator.truth
-        self._renderer = sensors.images(scenario) if scenario.simulation.images else None
         self._images = (FlowPublisher(self, Image, 'star_tracker/image_raw')
                         if self._renderer else None)
         self._centroids = FlowPublisher(
