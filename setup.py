@@ -15,6 +15,8 @@ COMMANDS = {
     'gyro_sim': 'starcal_ros.nodes.programs:gyro_sim',
     'estimator': 'starcal_ros.nodes.programs:estimator',
     'intrinsics_estimator': 'starcal_ros.nodes.programs:intrinsics_estimator',
+    'centroid_extractor': 'starcal_ros.nodes.programs:centroid_extractor',
+    'star_identifier': 'starcal_ros.nodes.programs:star_identifier',
     'recorder': 'starcal_ros.nodes.programs:recorder',
     'player': 'starcal_ros.nodes.programs:player',
     'watch': 'starcal_ros.nodes.programs:watch',

@@ -2,6 +2,7 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -10,6 +11,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 def generate_launch_description() -> LaunchDescription:
     """Start the estimator and the recorder on the topics of the sensors."""
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
+    images = LaunchConfiguration('images')
 
     def parameter(name: str, argument: str, kind: type) -> dict[str, ParameterValue]:
         return {name: ParameterValue(LaunchConfiguration(argument), value_type=kind)}
@@ -18,6 +20,7 @@ def generate_launch_description() -> LaunchDescription:
               parameter('use_sim_time', 'use_sim_time', bool)]
     topics = [('imu/data_raw', LaunchConfiguration('imu_topic')),
               ('star_tracker/centroids', LaunchConfiguration('centroids_topic')),
+              ('star_tracker/image_raw', LaunchConfiguration('image_topic')),
               ('/tf_static', 'tf_static')]
     return LaunchDescription([
         DeclareLaunchArgument(
@@ -30,6 +33,13 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'centroids_topic', description='sensor_msgs/PointCloud2 of the star tracker',
             default_value='star_tracker/centroids'),
+        DeclareLaunchArgument(
+            'images', default_value='false',
+            description='Whether the star tracker delivers images, whose stars are then extracted '
+            'and identified'),
+        DeclareLaunchArgument(
+            'image_topic', description='sensor_msgs/Image of the star tracker',
+            default_value='star_tracker/image_raw'),
         DeclareLaunchArgument(
             'load_calibration', default_value='false',
             description='Begin with the newest saved calibration, if there is one'),
@@ -48,4 +58,10 @@ def generate_launch_description() -> LaunchDescription:
              parameters=[*common, {'estimator.wait_for_subscribers': 1},
                          parameter('estimator.load_calibration', 'load_calibration', bool)],
              remappings=topics),
+        Node(package='starcal_ros', executable='star_identifier', output='screen',
+             namespace=namespace, condition=IfCondition(images), remappings=topics,
+             parameters=[*common, {'star_identifier.wait_for_subscribers': 2}]),
+        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
+             namespace=namespace, condition=IfCondition(images), remappings=topics,
+             parameters=[*common, {'centroid_extractor.wait_for_subscribers': 2}]),
     ])

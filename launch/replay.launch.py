@@ -8,8 +8,8 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 # A recording has absolute names; relative ones stand in the namespace.
 TOPICS = [(f'/{name}', name) for name in (
-    'imu/data_raw', 'star_tracker/centroids', 'star_tracker/camera_info', 'truth/attitude',
-    'truth/parameters')]
+    'imu/data_raw', 'star_tracker/centroids', 'star_tracker/spots', 'star_tracker/image_raw',
+    'star_tracker/camera_info', 'truth/centroids', 'truth/attitude', 'truth/parameters')]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -2,7 +2,8 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -11,9 +12,14 @@ from launch_ros.substitutions import FindPackageShare
 def generate_launch_description() -> LaunchDescription:
     """Start both simulators, the estimator and the recorder on one configuration."""
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
-    # The run begins when estimator and recorder listen, so that neither misses anything.
-    pace = {'simulation.wait_for_subscribers': 2, 'simulation.real_time_factor':
+    images = LaunchConfiguration('images')
+    # The run begins when all listen that have to, so that none misses anything. A star tracker
+    # has two listeners, the gyro the identifier as well.
+    pace = {'simulation.images': ParameterValue(images, value_type=bool),
+            'simulation.real_time_factor':
             ParameterValue(LaunchConfiguration('real_time_factor'), value_type=float)}
+    gyro_listeners = ParameterValue(
+        PythonExpression(["3 if '", images, "'.lower() in ('true', '1') else 2"]), value_type=int)
     output = {'recorder.output': ParameterValue(LaunchConfiguration('output'), value_type=str)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     tf = [('/tf_static', 'tf_static')]
@@ -28,18 +34,29 @@ def generate_launch_description() -> LaunchDescription:
             'real_time_factor', default_value='1.0',
             description='Simulated seconds a second; 0.0 is as fast as the nodes go'),
         DeclareLaunchArgument(
+            'images', default_value='false',
+            description='Whether the star tracker delivers images, whose stars are then extracted '
+            'and identified; the recording has the images as well, 4 MB a second'),
+        DeclareLaunchArgument(
             'namespace', description='Namespace of all nodes and topics, /tf_static included',
             default_value=''),
         DeclareLaunchArgument(
             'autostart', default_value='true',
-            description='Whether estimator and recorder configure and activate themselves'),
+            description='Whether the managed nodes configure and activate themselves'),
         Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
              parameters=[config, output, autostart], remappings=tf, on_exit=Shutdown()),
         Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
              parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}],
              remappings=tf),
+        Node(package='starcal_ros', executable='star_identifier', output='screen',
+             namespace=namespace, condition=IfCondition(images),
+             parameters=[config, autostart, {'star_identifier.wait_for_subscribers': 2}]),
+        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
+             namespace=namespace, condition=IfCondition(images),
+             parameters=[config, autostart, {'centroid_extractor.wait_for_subscribers': 2}]),
         Node(package='starcal_ros', executable='star_tracker_sim', output='screen',
-             namespace=namespace, parameters=[config, pace]),
+             namespace=namespace,
+             parameters=[config, pace, {'simulation.wait_for_subscribers': 2}]),
         Node(package='starcal_ros', executable='gyro_sim', output='screen', namespace=namespace,
-             parameters=[config, pace]),
+             parameters=[config, pace, {'simulation.wait_for_subscribers': gyro_listeners}]),
     ])

@@ -42,7 +42,8 @@ The filter: `estimator`, `acquisition`, `stream`, `timeline`, its options `proce
 The camera alone: `calibration`, one method a file, on `attitude_free` and `invariants` (single
 frames), `interstar`, `interstar_fit` and `spots` (nameless spots), `bundle`; still images:
 `plates`; cameras of the papers: `published_cameras`; all of it in a row: `bootstrap`.
-Images: `simulation.render`, `imaging.centroid`, `imaging.identify`; what they share: `spot`.
+Images: `simulation.render`, `imaging.centroid`, `imaging.identify`; what they share: `spot`;
+live: `imaging.frame`, `numbering`.
 Conversions to ROS conventions: `ros_conventions`. Calibrations kept: `archive`, `restart`,
 `export`.
 """

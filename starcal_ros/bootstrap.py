@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import calibration, preintegration
+from starcal_ros import calibration
 from starcal_ros.calibration import predicted_centroid
 from starcal_ros.camera_estimate import CameraEstimate, beginning
 from starcal_ros.config import Scenario
@@ -29,9 +29,9 @@ from starcal_ros.imaging.camera_guess import CameraGuess
 from starcal_ros.imaging.identify import Identifier
 from starcal_ros.measurements import Frames, GyroSamples
 from starcal_ros.result import CalibrationError, no_attitude
-from starcal_ros.scenario import detector, mounting_matrix, observer
+from starcal_ros.scenario import detector, observer
 from starcal_ros.stream import Stream
-from starcal_ros.units import DEG_PER_HOUR
+from starcal_ros.turns import turns as _turns
 
 Array = NDArray[np.float64]
 
@@ -174,21 +174,3 @@ def identify(gyro: GyroSamples, frames: Frames, camera: CameraEstimate, scenario
         if k % 100 == 0:
             on_progress(k / len(frames))
     return replace(frames, catalog_id=catalog_id)
-
-
-def _turns(gyro: GyroSamples, frames: Frames, scenario: Scenario) -> list[Array | None]:
-    """Return how the star tracker turned up to each frame from the one before, C_s1s0."""
-    turns: list[Array | None] = [None] * len(frames)
-    if not len(gyro):
-        return turns
-    C_sg = mounting_matrix(scenario.mounting)
-    covered = np.flatnonzero((frames.stamp_ns >= gyro.stamp_ns[0])
-                             & (frames.stamp_ns <= gyro.stamp_ns[-1]))
-    if len(covered) < 2:
-        return turns
-    pieces = preintegration.preintegrate(
-        gyro, frames.stamp_ns[covered], np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
-        1e9 / scenario.gyro.rate_hz)
-    for k, Delta in zip(covered[1:].tolist(), pieces.Delta):
-        turns[k] = C_sg @ Delta @ C_sg.T
-    return turns

@@ -31,6 +31,7 @@ CLOUD_TYPE = 'sensor_msgs/msg/PointCloud2'
 _NUMERIC = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 _FIELDS = {'u': 'f8', 'v': 'f8', 'sigma': 'f4', 'magnitude': 'f4', 'catalog_id': 'u4'}
 _POINT = np.dtype([(name, f'<{kind}') for name, kind in _FIELDS.items()])
+_ID = np.dtype('u4')
 _LARGEST_ID = 2.0**53          # NaN is not below it either
 _WHEN_MISSING = {'sigma': 0.0, 'magnitude': np.nan, 'catalog_id': 0}
 _SHAPE = np.dtype([('height', 'u4'), ('width', 'u4')])
@@ -103,10 +104,61 @@ def decode_centroids(messages: Messages) -> Frames:
     return _assemble(stamp_ns, counts, parts)
 
 
-def _string(text: str) -> bytes:
+def with_numbers(message: bytes, catalog_id: NDArray[np.int64]) -> bytes:
+    """Return a cloud with these Hipparcos numbers and all else as it was.
+
+    A cloud without a field `catalog_id` gets one at the end of its points, and then has no
+    padding between rows.
+
+    Parameters
+    ----------
+    message : bytes
+        A cloud of n points that `decode_centroids` can read.
+    catalog_id : (n,) int64 array
+        Row by row.
+
+    Raises
+    ------
+    RecordError
+        If its field `catalog_id` can not hold the numbers.
+    """
+    if not len(catalog_id):
+        return message
+    order: ByteOrder = '<' if message[1] else '>'
+    (length,) = struct.unpack_from(f'{order}I', message, ENCAPSULATION + HEADER.itemsize - 4)
+    shape = ENCAPSULATION + (HEADER.itemsize + length + 3 & ~3)
+    height, width = struct.unpack_from(f'{order}II', message, shape)
+    fields = shape + _SHAPE.itemsize
+    layout = _parse_layout(message[fields:], order)
+    data, step = fields + len(layout.encoded) + _DATA.itemsize, layout.point.itemsize
+    row_step, length = struct.unpack_from(f'{order}II', message, data - _DATA.itemsize)
+    changed, number = bytearray(message), catalog_id.reshape(height, width)
+    points: NDArray[np.void] = np.ndarray((height, width), layout.point, changed, data,
+                                          (row_step, step))
+    if 'catalog_id' in layout.names:
+        kind = layout.point['catalog_id']
+        if kind.itemsize < _ID.itemsize:
+            raise RecordError(f"the field 'catalog_id' of a {CLOUD_TYPE} is {kind.name}, too "
+                              'small for a Hipparcos number')
+        points['catalog_id'] = number
+        return bytes(changed)
+    kind = _ID.newbyteorder('>' if layout.encoded[-8] else '<')
+    appended = np.empty((height, width), [('point', f'V{step}'), ('catalog_id', kind)])
+    appended['point'], appended['catalog_id'] = points.view(f'V{step}'), number
+    step = appended.itemsize
+    return b''.join((
+        message[:fields], struct.pack(f'{order}I', len(layout.names) + 1),
+        layout.encoded[4:-8].tobytes(), _string('catalog_id', order),
+        struct.pack(f'{order}IB3xI', layout.point.itemsize, 6, 1),
+        layout.encoded[-8:-4].tobytes(),
+        struct.pack(f'{order}III', step, step * width, appended.nbytes), appended.tobytes(),
+        message[data + length:]))
+
+
+def _string(text: str, order: ByteOrder = '<') -> bytes:
     """Encode a string where the stream is aligned to 4, and align it again."""
     content = text.encode() + b'\0'
-    return struct.pack('<I', len(content)) + content + bytes(-len(content) % 4)
+    return struct.pack(f'{order}I', len(content)) + content + bytes(-len(content) % 4)
 
 
 def _encode_fields() -> bytes:

@@ -23,8 +23,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
+from starcal_ros.config_image import ImageConfig
 from starcal_ros.config_intrinsics import IntrinsicsConfig
-from starcal_ros.config_nodes import PlayerConfig, RecorderConfig
+from starcal_ros.config_nodes import (CentroidExtractorConfig, PlayerConfig, RecorderConfig,
+                                      StarIdentifierConfig)
 from starcal_ros.config_truth import (MountingDriftConfig, TrueCameraConfig, TrueGyroConfig,
                                       TrueObserverConfig, TrueStarTrackerConfig)
 from starcal_ros.parameter import ConfigError, Parameter, Spec, declared
@@ -148,6 +150,9 @@ class SimulationConfig:
     ] = 1.0
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that each sensor topic must have before the run begins', '', 0, 100)] = 0
+    images: Annotated[bool, Spec(
+        'The node star_tracker_sim publishes images (star_tracker/image_raw, group image), and '
+        'its centroids as truth/centroids')] = False
 
 
 @dataclass(frozen=True)
@@ -243,17 +248,20 @@ class Scenario:
     """All of one parameter file."""
 
     autostart: Annotated[bool, Spec(
-        'The managed nodes (estimator, recorder) configure and activate themselves')] = True
+        'The managed nodes (estimator, recorder, ...) configure and activate themselves')] = True
     camera: CameraConfig = field(default_factory=CameraConfig)
     mounting: MountingConfig = field(default_factory=MountingConfig)
     gyro: GyroConfig = field(default_factory=GyroConfig)
     star_tracker: StarTrackerConfig = field(default_factory=StarTrackerConfig)
+    image: ImageConfig = field(default_factory=ImageConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     truth: TruthConfig = field(default_factory=TruthConfig)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     intrinsics: IntrinsicsConfig = field(default_factory=IntrinsicsConfig)
+    centroid_extractor: CentroidExtractorConfig = field(default_factory=CentroidExtractorConfig)
+    star_identifier: StarIdentifierConfig = field(default_factory=StarIdentifierConfig)
     recorder: RecorderConfig = field(default_factory=RecorderConfig)
     player: PlayerConfig = field(default_factory=PlayerConfig)
 
@@ -346,9 +354,10 @@ def _check_together(scenario: Scenario) -> None:
     if motion.dwell_s == 0.0 and not any(motion.angles_deg):
         raise ConfigError('motion.dwell_s: got 0.0 and no angle but 0, needs a dwell or an angle')
     trail_deg = motion.rate_deg_s * scenario.star_tracker.exposure_s
-    if scenario.truth.star_tracker.smear and trail_deg > _LONGEST_TRAIL_DEG:
-        raise ConfigError(f'truth.star_tracker.smear: got trails of {trail_deg:g} deg (slew rate '
-                          f'times exposure), allowed is 0 to {_LONGEST_TRAIL_DEG:g} deg')
+    for key in ('truth.star_tracker.smear', 'simulation.images'):
+        if _get(scenario, key) and trail_deg > _LONGEST_TRAIL_DEG:
+            raise ConfigError(f'{key}: got trails of {trail_deg:g} deg (slew rate times '
+                              f'exposure), allowed is 0 to {_LONGEST_TRAIL_DEG:g} deg')
     for key in ('observer.epoch_utc', 'truth.observer.epoch_utc', 'simulation.start_utc'):
         if (text := _get(scenario, key)) is not None:
             stamp_ns(key, text)

@@ -46,8 +46,9 @@ class ImageConfig:
     gain_electrons: Annotated[float, Spec('Electrons a count', 'e', 1e-3, 1e4)] = 1.0
     offset_counts: Annotated[float, Spec('Counts of a pixel without electrons', 'counts',
                                          0.0, 6e4)] = 200.0
-    full_well_electrons: Annotated[float, Spec('Electrons that a pixel holds', 'e', 1.0, 1e7)
-                                   ] = 3e4
+    full_well_electrons: Annotated[float, Spec(
+        'Electrons that a pixel holds; where the counts of so many are less than '
+        'saturation_counts, centroid.saturation_counts has to say so', 'e', 1.0, 1e7)] = 1e5
     saturation_counts: Annotated[int, Spec('Largest count', 'counts', 1, 65535)] = 65535
     hot_pixels: Annotated[int, Spec('Hot pixels, at the same places in every frame', '', 0, 10000)
                           ] = 0

@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The groups ``recorder`` and ``player``: what only these nodes read."""
+"""The groups that are named after a node: what only this node reads."""
 
 from __future__ import annotations
 
@@ -10,6 +10,26 @@ from typing import Annotated
 from starcal_ros.parameter import Spec
 
 Strings = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CentroidExtractorConfig:
+    """The centroid extractor node."""
+
+    wait_for_subscribers: Annotated[int, Spec(
+        'Subscribers that star_tracker/spots must have before images are listened to', '', 0, 100)
+    ] = 0
+
+
+@dataclass(frozen=True)
+class StarIdentifierConfig:
+    """The star identifier node."""
+
+    limiting_magnitude: Annotated[float, Spec(
+        'Faintest star that may be identified, Hp', 'mag', 2.0, 14.0)] = 8.0
+    wait_for_subscribers: Annotated[int, Spec(
+        'Subscribers that star_tracker/centroids must have before spots are listened to', '', 0,
+        100)] = 0
 
 
 @dataclass(frozen=True)
@@ -36,4 +56,5 @@ class PlayerConfig:
     topics: Annotated[Strings, Spec(
         'Topics to publish; empty is all but the results (starcal/*)')] = ()
     wait_for_subscribers: Annotated[int, Spec(
-        'Subscribers that each sensor topic must have before the replay begins', '', 0, 100)] = 0
+        'Subscribers that each sensor topic must have before the replay begins: the gyro, and '
+        'centroids, or else spots, or else images', '', 0, 100)] = 0

@@ -40,6 +40,10 @@ class GyroSamples:
     def __getitem__(self, rows: slice) -> GyroSamples:
         return GyroSamples(self.stamp_ns[rows], self.rate[rows])
 
+    def take(self, rows: NDArray[Any]) -> GyroSamples:
+        """Return some of the samples, given by number or by a mask."""
+        return GyroSamples(self.stamp_ns[rows], self.rate[rows])
+
     @classmethod
     def empty(cls) -> GyroSamples:
         """Return no samples."""

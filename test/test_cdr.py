@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """CDR of gyro samples and star frames against the serializer of `rosbags`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from starcal_ros import cdr_cloud
 from starcal_ros.cdr import IMU_TYPE, Messages, RecordError, decode_imu, encode_imu
-from starcal_ros.cdr_cloud import CLOUD_TYPE, decode_centroids, encode_centroids
+from starcal_ros.cdr_cloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
+                                   with_numbers)
 from starcal_ros.measurements import Frames, GyroSamples
 
 STORE = get_typestore(Stores.ROS2_KILTED)
@@ -256,3 +259,54 @@ def test_random_bytes_are_an_error_or_a_frame_never_another_exception():
             decode_centroids(Messages.join([broken.tobytes()]))
         except RecordError:
             pass
+
+
+# Numbers put into a cloud
+
+NUMBERED = np.array([0, 118322, 7, 91262, 1, 65536])
+DRIVER = np.dtype([('v', 'f4'), ('peak', 'u2'), ('u', 'f8'), ('catalog_id', 'u4'), ('x', 'i1')])
+
+
+@pytest.mark.parametrize('little_endian', [True, False])
+@pytest.mark.parametrize('order', ['<', '>'])
+@pytest.mark.parametrize('rows, pad, pad_last', [(1, 0, True), (2, 5, True), (3, 2, False)])
+@pytest.mark.parametrize('id_type', ['u4', 'i4', 'f4', 'f8', None])
+def test_numbers_change_and_all_else_stays(order, rows, pad, pad_last, id_type, little_endian):
+    fields = [(name, id_type if name == 'catalog_id' else kind.str[1:])
+              for name, (kind, _) in DRIVER.fields.items()]
+    points = np.zeros(6, [field for field in fields if field[1]])
+    for k, name in enumerate(points.dtype.names):
+        points[name] = np.arange(6) + 10 * k
+    message = cloud(points, 'lens', 5 * 10**9 + 7, rows, pad, order, little_endian, pad_last)
+    given = Messages.join([message])
+    changed = Messages.join([with_numbers(message, NUMBERED)])
+    before, after = decode_centroids(given), decode_centroids(changed)
+    assert_same(replace(before, catalog_id=NUMBERED), after)
+    read, original = (STORE.deserialize_cdr(m.data.tobytes(), CLOUD_TYPE)
+                      for m in (changed, given))
+    assert read.header == original.header and read.is_bigendian == original.is_bigendian
+    assert (read.height, read.width, read.is_dense) == (rows, 6 // rows, True)
+    assert [field.name for field in read.fields] == [
+        *(field.name for field in original.fields), *([] if id_type else ['catalog_id'])]
+    for field, old in zip(read.fields, original.fields):
+        assert field == old
+    for row, old in zip(range(rows), range(rows)):
+        for column in range(6 // rows):
+            at = row * read.row_step + column * read.point_step
+            was = old * original.row_step + column * original.point_step
+            for name in ('peak', 'x'):
+                offset = points.dtype.fields[name][1]
+                size = points.dtype[name].itemsize
+                assert (read.data[at + offset:at + offset + size].tobytes()
+                        == original.data[was + offset:was + offset + size].tobytes())
+
+
+def test_a_frame_without_stars_goes_through_as_it_is():
+    message, = encode_centroids(FRAMES[1:2])
+    assert with_numbers(message, np.empty(0, np.int64)) == message
+
+
+def test_a_field_that_can_not_hold_a_number_is_an_error():
+    points = np.zeros(2, [('u', 'f8'), ('v', 'f8'), ('catalog_id', 'u2')])
+    with pytest.raises(RecordError, match="'catalog_id' of a .* is uint16, too small"):
+        with_numbers(cloud(points), np.array([1, 2]))

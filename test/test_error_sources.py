@@ -496,6 +496,9 @@ def test_frames_without_stars_hold_the_hot_pixels_alone():
     ({'truth.star_tracker.smear': True, 'motion.rate_deg_s': 30.0},
      'truth.star_tracker.smear: got trails of 5.4 deg (slew rate times exposure), '
      'allowed is 0 to 5 deg'),
+    ({'simulation.images': True, 'motion.rate_deg_s': 30.0},
+     'simulation.images: got trails of 5.4 deg (slew rate times exposure), '
+     'allowed is 0 to 5 deg'),
     ({'truth.star_tracker.misidentified_fraction': 1.1},
      'truth.star_tracker.misidentified_fraction: got 1.1, allowed is 0 to 1'),
     ({'truth.star_tracker.hot_pixels_per_frame': 201},

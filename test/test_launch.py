@@ -35,7 +35,9 @@ def classes(*names):
 MODULES = {
     'launch': classes('LaunchDescription'),
     'launch.actions': classes('DeclareLaunchArgument', 'Shutdown'),
-    'launch.substitutions': classes('LaunchConfiguration', 'PathJoinSubstitution'),
+    'launch.conditions': classes('IfCondition'),
+    'launch.substitutions': classes('LaunchConfiguration', 'PathJoinSubstitution',
+                                    'PythonExpression'),
     'launch_ros': {},
     'launch_ros.actions': classes('Node'),
     'launch_ros.parameter_descriptions': classes('ParameterValue'),
@@ -105,7 +107,8 @@ def test_parameters_are_declared_ones_of_their_types(entities):
 
 def test_defaults_are_values_of_their_types(entities):
     kinds = {call.args[0].args[0]: call.kwargs['value_type']
-             for call in found(of(entities, 'Node'), 'ParameterValue')}
+             for call in found(of(entities, 'Node'), 'ParameterValue')
+             if type(call.args[0]).__name__ == 'LaunchConfiguration'}
     for argument in of(entities, 'DeclareLaunchArgument'):
         default, kind = argument.kwargs.get('default_value'), kinds.get(argument.args[0], str)
         if isinstance(default, str):
@@ -119,13 +122,30 @@ def test_transforms_stay_in_the_namespace(entities):
     assert ('/tf_static', 'tf_static') in estimator.kwargs['remappings']
 
 
-def test_nothing_is_missed_at_the_beginning(entities):
+def value_of(value, images):
+    """Return a parameter, where `images` decides about it, for one choice."""
+    if not isinstance(value, Call):
+        return value
+    expression = next(found(value, 'PythonExpression')).args[0]
+    return eval(''.join(images if isinstance(part, Call) else part for part in expression))
+
+
+@pytest.mark.parametrize('images', ['false', 'true', 'True', '1'])
+def test_nothing_is_missed_at_the_beginning(entities, images):
     """Who speaks waits for who listens."""
-    nodes = {node.kwargs['executable']: node for node in of(entities, 'Node')}
-    waits = {name: max((value for given in node.kwargs['parameters'][1:]
+    with_images = images != 'false' and 'images' in [
+        argument.args[0] for argument in of(entities, 'DeclareLaunchArgument')]
+    nodes = {node.kwargs['executable']: node for node in of(entities, 'Node')
+             if with_images or 'condition' not in node.kwargs}
+    waits = {name: max((value_of(value, images) for given in node.kwargs['parameters'][1:]
                         for key, value in given.items() if key.endswith('wait_for_subscribers')),
                        default=0) for name, node in nodes.items()}
-    listeners = len(nodes.keys() & {'estimator', 'recorder'})
-    for name in nodes.keys() & {'player', 'gyro_sim', 'star_tracker_sim'}:
-        assert waits[name] == listeners
-    assert waits['estimator'] == len(nodes.keys() & {'recorder'})
+    recorders = nodes.keys() & {'recorder'}
+    behind_images = {'centroid_extractor'} if with_images else {'estimator'}
+    identifiers = nodes.keys() & {'star_identifier'}
+    assert bool(identifiers) == with_images
+    listeners = {'gyro_sim': {'estimator'} | identifiers, 'star_tracker_sim': behind_images,
+                 'player': {'estimator'}, 'estimator': set(), 'star_identifier': {'estimator'},
+                 'centroid_extractor': {'star_identifier'}}
+    for name in nodes.keys() & listeners.keys():
+        assert waits[name] == len(listeners[name] | recorders), name

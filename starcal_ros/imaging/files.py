@@ -78,12 +78,8 @@ def load(path: str | PathLike[str]) -> Picture:
         raise ImageFileError(f'{path}: pixels of shape {pixels.shape}; one image expected, '
                              'grey or with colours')
     counts = pixels.astype(np.float32)
-    if channels > 1:
-        colour = counts[..., :3] if channels > 2 else counts[..., :1]      # without alpha
-        full = colour.max(axis=-1) >= saturation
-        counts = (colour @ _LUMINANCE[:colour.shape[-1]].astype(np.float32)
-                  if channels > 2 else colour[..., 0])
-        counts[full] = saturation
+    if channels > 2:
+        counts = grey(counts[..., :3], saturation)      # without alpha
     elif pixels.ndim == 3:
         counts = counts[..., 0]
     if not np.isfinite(counts).all():
@@ -115,6 +111,13 @@ def _read_fits(path: Path) -> tuple[NDArray[Any], float]:
     if str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper() != 'TOP-DOWN':
         pixels = pixels[::-1]
     return pixels, saturation
+
+
+def grey(colour: NDArray[np.float32], saturation: float) -> NDArray[np.float32]:
+    """Return the luminance of an image (height, width, 3), full where a channel is."""
+    counts = colour @ _LUMINANCE.astype(np.float32)
+    counts[colour.max(axis=-1) >= saturation] = saturation
+    return counts
 
 
 def top(kind: np.dtype[Any]) -> float:

@@ -108,6 +108,17 @@ class Identifier:
         self._last: tuple[int, View] | None = None
         self._rate: Array | None = None
 
+    def prepare(self) -> None:
+        """Do at once what the first search would take seconds for.
+
+        Raises
+        ------
+        ImportError
+            Where tetra3rs is missing.
+        """
+        star_patterns.prepare(self._guess.detector, self._guess.focal_range_px,
+                              self._limiting_magnitude)
+
     def identify(self, uv_raster: Array, flux: Array, stamp_ns: int,
                  turn: Array | None = None, sigma: ArrayLike = 0.0) -> Identification | None:
         """Identify the next frame: track it, or search where that does not succeed.

@@ -69,7 +69,7 @@ def search(uv: Array, flux: Array, detector: Detector, focal_px: tuple[float, fl
         Faintest star of the catalogue, Hp.
     """
     width = detector.width
-    low, high = sorted(2.0 * np.degrees(np.arctan(width / (2.0 * f))) for f in focal_px)
+    low, high = _fields(detector, focal_px)
     # A lens that is off its centre or distorts shows a scale of its own: some 3 % wider.
     middle, margin = (low + high) / 2.0, (high - low) / 2.0 + 0.03 * high
     order = np.argsort(-np.nan_to_num(flux, nan=-np.inf), kind='stable')
@@ -84,6 +84,25 @@ def search(uv: Array, flux: Array, detector: Detector, focal_px: tuple[float, fl
                         found.matched_catalog_ids,
                         width / (2.0 * np.tan(np.radians(found.fov_deg) / 2.0)),
                         found.parity_flip)
+
+
+def prepare(detector: Detector, focal_px: tuple[float, float],
+            limiting_magnitude: float = catalog.SHIPPED_LIMIT) -> None:
+    """Build the database that `search` needs, which it would else do itself the first time.
+
+    Raises
+    ------
+    ImportError, ValueError
+        As `database`.
+    """
+    database(*_steps(*_fields(detector, focal_px)), limiting_magnitude)
+
+
+def _fields(detector: Detector, focal_px: tuple[float, float]) -> tuple[float, float]:
+    """Return the narrowest and the widest field [deg]."""
+    low, high = sorted(
+        2.0 * float(np.degrees(np.arctan(detector.width / (2.0 * f)))) for f in focal_px)
+    return low, high
 
 
 def _steps(low_deg: float, high_deg: float) -> tuple[int, int]:

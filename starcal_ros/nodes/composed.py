@@ -16,8 +16,8 @@ from rclpy.utilities import remove_ros_args
 
 from starcal_ros.nodes import runtime
 
-NODES = ('recorder', 'watch', 'estimator', 'intrinsics_estimator', 'player',
-         'star_tracker_sim', 'gyro_sim')
+NODES = ('recorder', 'watch', 'estimator', 'intrinsics_estimator', 'star_identifier',
+         'centroid_extractor', 'player', 'star_tracker_sim', 'gyro_sim')
 """In the order in which they are created: who listens before who speaks, to miss nothing."""
 
 

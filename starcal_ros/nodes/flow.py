@@ -50,6 +50,7 @@ _POLICY = {QoSPolicyKind.DURABILITY: 'durability: the last messages for who come
            QoSPolicyKind.LIVELINESS: 'liveliness: a sign of life at least so often',
            QoSPolicyKind.RELIABILITY: 'reliability: lost messages sent again'}
 
+PATIENCE_S = 10.0               # of a node that serves sensors, with a subscriber that hangs
 BATCH = 500                     # most messages of one drain: other callbacks get their turn
 _MOST_WAITING = 5000            # messages that Fast DDS keeps for a subscriber
 _POLL = Duration(seconds=0.05)  # a signal is seen between two of these
@@ -228,11 +229,13 @@ class MatchedSubscription:
     message_type : type
     topic : str
     callback : callable
-        Receives a list of messages, in the order of arrival, at least one and at most `BATCH`.
+        Receives a list of messages, in the order of arrival, at least one and at most `at_once`.
     latched : bool
         Ask for the last message that was published before.
     raw : bool
         Receive CDR bytes in place of messages.
+    at_once : int
+        Fewer where a message is large or takes long.
 
     Attributes
     ----------
@@ -244,9 +247,9 @@ class MatchedSubscription:
 
     def __init__(self, node: Node, message_type: type, topic: str,
                  callback: Callable[[list[Any]], None], *,
-                 latched: bool = False, raw: bool = False) -> None:
+                 latched: bool = False, raw: bool = False, at_once: int = BATCH) -> None:
         self._node, self._type, self._topic, self._raw = node, message_type, topic, raw
-        self._callback = callback
+        self._callback, self._at_once = callback, at_once
         self._reliability = ReliabilityPolicy.RELIABLE
         self._durability = LATCHED.durability if latched else STREAM.durability
         self.received, self.lost = 0, 0
@@ -266,8 +269,8 @@ class MatchedSubscription:
 
     def take_all(self) -> None:
         """Hand over all that waits, now; not what a publisher adds in the meantime."""
-        for _ in range(_MOST_WAITING // BATCH):
-            self._hand_over(_take_waiting(self._subscription, BATCH))
+        for _ in range(_MOST_WAITING // self._at_once):
+            self._hand_over(_take_waiting(self._subscription, self._at_once))
 
     def destroy(self) -> None:
         """End the subscription."""
@@ -295,11 +298,11 @@ class MatchedSubscription:
         if self._outdated:
             self._recreate()
         # What arrives while messages are taken does not always wake the executor once more.
-        self._hand_over(waiting := _take_waiting(self._subscription, BATCH))
+        self._hand_over(waiting := _take_waiting(self._subscription, self._at_once))
         return len(waiting)
 
     def _on_message(self, message: Any) -> None:
-        self._hand_over([message, *_take_waiting(self._subscription, BATCH - 1)])
+        self._hand_over([message, *_take_waiting(self._subscription, self._at_once - 1)])
 
     def _hand_over(self, messages: list[Any]) -> None:
         if messages:

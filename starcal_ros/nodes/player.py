@@ -29,7 +29,7 @@ from starcal_ros.parameter import ConfigError
 from starcal_ros.nodes import parameters, runtime
 from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
 from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
-from starcal_ros.nodes.topics import SENSORS, TOPICS, message_type
+from starcal_ros.nodes.topics import GYRO, STARS, TOPICS, message_type
 from starcal_ros.units import NS
 
 _RESULTS = tuple('/' + topic.name.lstrip('/') for topic in TOPICS if topic.result)
@@ -52,7 +52,9 @@ class Player(Node):
         self._feed = Feed(self, self._playback,
                           self._laps(bag, publishers, start_ns, player.loop))
         self._serve(player)
-        sensors = [publisher for name, publisher in publishers.items() if name.endswith(SENSORS)]
+        stars = next((form for form in STARS if any(n.endswith(form) for n in publishers)), GYRO)
+        sensors = [publisher for name, publisher in publishers.items()
+                   if name.endswith((GYRO, stars))]
         when_subscribed(self, sensors or publishers.values(), player.wait_for_subscribers,
                         self._playback.begin)
         for text in bag.warnings:

@@ -24,12 +24,14 @@ def _program(name: str) -> Callable[[], int]:
     return main
 
 
+centroid_extractor = _program('centroid_extractor')
 composed = _program('composed')
 estimator = _program('estimator')
 gyro_sim = _program('gyro_sim')
 intrinsics_estimator = _program('intrinsics_estimator')
 player = _program('player')
 recorder = _program('recorder')
+star_identifier = _program('star_identifier')
 star_tracker_sim = _program('star_tracker_sim')
 watch = _program('watch')
 

@@ -11,7 +11,7 @@ from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.nodes import messages
-from starcal_ros.nodes.flow import FlowPublisher, drain
+from starcal_ros.nodes.flow import PATIENCE_S, FlowPublisher, drain
 from starcal_ros.stream import FrameResult, Stream
 from starcal_ros.track import Track
 
@@ -20,7 +20,6 @@ try:
 except ImportError:             # not among PyPI's packages of ROS 2; every distribution has it
     TFMessage = None
 
-_PATIENCE_S = 10.0      # with a subscriber that hangs
 _DRAIN_S = 6.0          # for the last results; acknowledgements may take 3 s
 
 
@@ -47,7 +46,7 @@ class Results:
 
     def _publisher(self, kind: type, topic: str, latched: bool = True) -> FlowPublisher:
         publisher = FlowPublisher(self._node, kind, topic, latched=latched,
-                                  patience_s=_PATIENCE_S)
+                                  patience_s=PATIENCE_S)
         self.publishers.append(publisher)
         return publisher
 

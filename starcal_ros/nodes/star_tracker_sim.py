@@ -1,6 +1,10 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Node `star_tracker_sim`: publishes simulated star centroids, nominal camera and truth."""
+"""Node `star_tracker_sim`: publishes simulated star centroids, nominal camera and truth.
+
+With ``simulation.images`` it publishes images too, and the centroids as truth: who extracts and
+identifies the stars then has the topic `star_tracker/centroids` to himself.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +12,15 @@ from collections.abc import Iterator
 from typing import Any
 
 from geometry_msgs.msg import QuaternionStamped
-from sensor_msgs.msg import CameraInfo, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros import cdr_cloud
+from starcal_ros import cdr_cloud, cdr_image
 from starcal_ros.nodes import messages, parameters, runtime
 from starcal_ros.nodes.flow import FlowPublisher
 from starcal_ros.nodes.pacing import Item
 from starcal_ros.nodes.simulator import Simulator
+from starcal_ros.parameter import ConfigError
 from starcal_ros.scenario import detector, intrinsics
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import VECTOR_LABEL
@@ -29,10 +34,17 @@ class StarTrackerSim(Simulator):
     def __init__(self, **options: Any) -> None:
         super().__init__('star_tracker_sim', **options)
         scenario = parameters.declare(self, 'camera', 'mounting', 'gyro', 'star_tracker',
-                                      'motion', 'observer', 'truth', 'simulation')
-        self._simulator = sensors.star_tracker(scenario)
+                                      'image', 'motion', 'observer', 'truth', 'simulation')
+        try:
+            self._simulator = sensors.star_tracker(scenario)
+            self._renderer = sensors.images(scenario) if scenario.simulation.images else None
+        except ValueError as error:         # a catalogue that does not reach so deep
+            raise ConfigError(str(error)) from None
         self._truth = self._simulator.truth
-        self._centroids = FlowPublisher(self, PointCloud2, 'star_tracker/centroids')
+        self._images = (FlowPublisher(self, Image, 'star_tracker/image_raw')
+                        if self._renderer else None)
+        self._centroids = FlowPublisher(
+            self, PointCloud2, 'truth/centroids' if self._renderer else 'star_tracker/centroids')
         self._attitude = FlowPublisher(self, QuaternionStamped, 'truth/attitude')
         info = FlowPublisher(self, CameraInfo, 'star_tracker/camera_info', latched=True)
         truth = FlowPublisher(self, Float64MultiArray, 'truth/parameters', latched=True)
@@ -40,13 +52,16 @@ class StarTrackerSim(Simulator):
             self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
         values = self._truth.vector()
         truth.publish(messages.labelled([(VECTOR_LABEL, len(values))], values))
-        self.begin(scenario.simulation, self._centroids, self._items())
+        self.begin(scenario.simulation, self._images or self._centroids, self._items())
 
     def _items(self) -> Iterator[Item]:
         while len(frames := self._simulator.next(_BATCH)):
             attitudes = self._truth.motion.attitude(frames.stamp_ns)
             for stamp_ns, C_ig, message in zip(frames.stamp_ns.tolist(), attitudes,
                                                cdr_cloud.encode_centroids(frames)):
+                if self._renderer and self._images:
+                    yield stamp_ns, self._images, cdr_image.encode_image(
+                        stamp_ns, self._renderer.image(stamp_ns))
                 yield stamp_ns, self._centroids, message
                 yield stamp_ns, self._attitude, messages.attitude(stamp_ns, C_ig)
 

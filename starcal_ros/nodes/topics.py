@@ -27,6 +27,8 @@ TOPICS = (
     Topic('star_tracker/centroids', 'sensor_msgs/msg/PointCloud2'),
     Topic('star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True),
     Topic('star_tracker/image_raw', 'sensor_msgs/msg/Image'),
+    Topic('star_tracker/spots', 'sensor_msgs/msg/PointCloud2'),
+    Topic('truth/centroids', 'sensor_msgs/msg/PointCloud2'),
     Topic('truth/attitude', 'geometry_msgs/msg/QuaternionStamped'),
     Topic('truth/parameters', 'std_msgs/msg/Float64MultiArray', latched=True),
     Topic('starcal/imu', 'sensor_msgs/msg/Imu', result=True),
@@ -44,7 +46,9 @@ TOPICS = (
     Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result=True),
     Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True),
 )
-SENSORS = tuple(topic.name for topic in TOPICS[:2])
+GYRO = 'imu/data_raw'
+STARS = ('star_tracker/centroids', 'star_tracker/spots', 'star_tracker/image_raw')
+"""What star trackers deliver: each is made of the next where it is not there."""
 
 
 def message_type(type_name: str) -> type | None:

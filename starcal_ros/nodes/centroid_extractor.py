@@ -1,0 +1,82 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `centroid_extractor`: images in, the spots in them out, without numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sensor_msgs.msg import Image, PointCloud2
+
+from starcal_ros import cdr_cloud
+from starcal_ros.cdr_image import ImageMessageError, decode_image
+from starcal_ros.imaging.frame import SpotMeter
+from starcal_ros.nodes import runtime
+from starcal_ros.nodes.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
+                                    when_subscribed)
+from starcal_ros.nodes.managed import ManagedNode
+from starcal_ros.nodes.tally import Tally
+
+_AT_ONCE = 4            # images: each has a megapixel and takes some 30 ms
+_DRAIN_S = 6.0
+
+
+class CentroidExtractor(ManagedNode):
+    """Measure the spots of each image and publish them as one frame."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('centroid_extractor', 'camera', 'star_tracker', 'image',
+                         'centroid_extractor', **options)
+        self.start()
+
+    def configure(self) -> None:
+        """Prepare the measurement and its publisher."""
+        self._meter = SpotMeter(self.scenario)
+        self._spots = FlowPublisher(self, PointCloud2, 'star_tracker/spots', patience_s=PATIENCE_S)
+
+    def activate(self) -> None:
+        """Listen to the images, as soon as the spots have the listeners they must have."""
+        self._tally = Tally(self, 'centroids')
+        self._images: MatchedSubscription | None = None
+        self._waiting = when_subscribed(
+            self, [self._spots], self.scenario.centroid_extractor.wait_for_subscribers,
+            self._listen)
+
+    def _listen(self) -> None:
+        self._images = MatchedSubscription(self, Image, 'star_tracker/image_raw', self._on_images,
+                                           raw=True, at_once=_AT_ONCE)
+
+    def deactivate(self) -> None:
+        """Use up what has arrived."""
+        if self._images is None:
+            runtime.end_timer(self, self._waiting)
+        else:
+            self._images.take_all()
+            self._images.destroy()
+        self._tally.end()
+
+    def cleanup(self) -> None:
+        """Deliver the last spots."""
+        drain([self._spots], _DRAIN_S)
+        self._spots.destroy()
+
+    def _on_images(self, batch: list[bytes]) -> None:
+        for message in batch:
+            try:
+                self._measure(message)
+            except ImageMessageError as error:
+                self._tally.fault(error.kind, f'image dropped, {error}')
+            except ValueError as error:
+                self._tally.fault('unsuitable image', f'image dropped, unsuitable: {error}')
+
+    def _measure(self, message: bytes) -> None:
+        stamp_ns, frame_id, image = decode_image(message)
+        frame, left_out = self._meter.measure(image, stamp_ns)
+        self._tally.done.update({'images': 1, 'spots': len(frame.uv_raster),
+                                 'spots left out': left_out})
+        self._spots.publish(cdr_cloud.encode_centroids(frame, frame_id)[0])
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return runtime.run(CentroidExtractor, args)

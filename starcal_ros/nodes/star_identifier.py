@@ -1,0 +1,130 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `star_identifier`: spots in, the same spots with their Hipparcos numbers out.
+
+A frame waits for the gyro readings up to its stamp, for a second at most; then it goes without.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from itertools import islice
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import Imu, PointCloud2
+
+from starcal_ros import cdr, cdr_cloud
+from starcal_ros.nodes import runtime
+from starcal_ros.nodes.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
+                                    when_subscribed)
+from starcal_ros.nodes.inputs import decoded
+from starcal_ros.nodes.managed import ManagedNode
+from starcal_ros.nodes.tally import Tally
+from starcal_ros.numbering import Numbering
+from starcal_ros.parameter import ConfigError
+
+_PATIENCE_S = 1.0       # of a frame, with the gyro
+_LOOK_S = 0.1
+_DRAIN_S = 6.0
+
+
+class _Waiting(NamedTuple):
+    """A frame that has no numbers yet, and when it came."""
+
+    cloud: bytes
+    since_s: float
+
+
+class StarIdentifier(ManagedNode):
+    """Feed a `Numbering` from two topics and publish the frames with the numbers it finds."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('star_identifier', 'camera', 'mounting', 'gyro', 'star_tracker',
+                         'observer', 'estimator', 'intrinsics', 'star_identifier', **options)
+        self.inputs: list[MatchedSubscription] = []
+        self.start()
+
+    def configure(self) -> None:
+        """Prepare the identification, which takes some seconds, and its publisher."""
+        try:
+            self._numbering = Numbering(self.scenario)
+        except (ImportError, ValueError) as error:
+            raise ConfigError(str(error)) from None
+        self._waiting: deque[_Waiting] = deque()
+        self._stars = FlowPublisher(self, PointCloud2, 'star_tracker/centroids',
+                                    patience_s=PATIENCE_S)
+
+    def activate(self) -> None:
+        """Listen, as soon as the numbered frames have the listeners they must have."""
+        self._tally = Tally(self, 'identification')
+        self._timers_running = [
+            runtime.steady_timer(self, _LOOK_S, self._advance),
+            when_subscribed(self, [self._stars],
+                            self.scenario.star_identifier.wait_for_subscribers, self._listen)]
+
+    def _listen(self) -> None:
+        self._timers_running.pop()      # has ended itself
+        self.inputs += [
+            MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
+            MatchedSubscription(self, PointCloud2, 'star_tracker/spots', self._on_spots, raw=True)]
+
+    def deactivate(self) -> None:
+        """Use up what has arrived; frames that wait go without the readings they wait for."""
+        for timer in self._timers_running:
+            runtime.end_timer(self, timer)
+        for subscription in self.inputs:
+            subscription.take_all()
+        self._publish(self._numbering.process(wait=False))
+        for subscription in self.inputs:
+            subscription.destroy()
+        self.inputs.clear()
+        self._tally.end()
+
+    def cleanup(self) -> None:
+        """Deliver the last frames and forget the attitude."""
+        drain([self._stars], _DRAIN_S)
+        self._stars.destroy()
+
+    def _on_gyro(self, batch: list[bytes]) -> None:
+        for part in decoded(batch, cdr.decode_imu, self._drop):
+            self._numbering.add_gyro(part)
+        self._advance()
+
+    def _on_spots(self, batch: list[bytes]) -> None:
+        for message in batch:
+            for frames in decoded([message], cdr_cloud.decode_centroids, self._drop):
+                self._numbering.add_frames(frames)
+                self._waiting.append(_Waiting(message, time.monotonic()))
+        self._advance()
+
+    def _drop(self, why: str) -> None:
+        self._tally.fault('damaged message', why)
+
+    def _advance(self) -> None:
+        """Publish what need not wait for the gyro, or has waited long enough."""
+        self._publish(self._numbering.process(wait=True))
+        while self._waiting and (time.monotonic() - self._waiting[0].since_s > _PATIENCE_S
+                                 or not self.inputs[0].publishers):
+            self._publish(islice(self._numbering.process(wait=False), 1))
+
+    def _publish(self, numbers: Iterable[NDArray[np.int64]]) -> None:
+        for number in numbers:
+            message = self._waiting.popleft().cloud
+            try:
+                message = cdr_cloud.with_numbers(message, number)
+            except cdr.RecordError as error:
+                self._tally.fault('unsuitable cloud', f'message dropped: {error}')
+                continue
+            self._stars.publish(message)
+        for text in self._numbering.take_notices():
+            self._tally.fault('mirrored', text)
+        self._tally.done.update(self._numbering.take_counts())
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return runtime.run(StarIdentifier, args)
