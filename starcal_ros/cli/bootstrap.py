@@ -36,8 +36,11 @@ def run(options: argparse.Namespace) -> int:
     from starcal_ros import record, report, result
     try:
         from starcal_ros.bootstrap import bootstrap
+        from starcal_ros.imaging.recorded import measure
+        from starcal_ros.scenario import detector
         with progress('reading') as on_progress:
-            recording = record.read(options.bag, on_progress)
+            recording = record.read(options.bag, on_progress,
+                                    measure=measure(detector(scenario.camera)))
         with progress('bootstrap') as on_progress:
             chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
     except ImportError as error:

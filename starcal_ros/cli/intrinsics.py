@@ -91,8 +91,11 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     scenario = arguments.scenario(options).replace(_given(options))
     method = calibration.start(scenario)
     from starcal_ros import record, report, result
+    from starcal_ros.imaging.recorded import measure
+    from starcal_ros.scenario import detector
     with progress('reading') as on_progress:
-        recording = record.read(options.source, on_progress, needs_gyro=False)
+        recording = record.read(options.source, on_progress, needs_gyro=False,
+                                measure=measure(detector(scenario.camera)))
     frames = recording.frames
     with progress('calibrating') as on_progress:
         method.add_gyro(recording.gyro)

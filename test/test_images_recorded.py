@@ -1,0 +1,141 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings that hold images and no centroids: read, and calibrated from nothing else."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from starcal_ros import catalog, parameter_file, record
+from starcal_ros.camera import INTRINSICS_KEYS, Detector
+from starcal_ros.cdr import Messages, RecordError
+from starcal_ros.cdr_image import IMAGE_TYPE, decode_images
+from starcal_ros.cli import main
+from starcal_ros.config import Scenario
+from starcal_ros.config_image import ImageConfig
+from starcal_ros.imaging.recorded import measure
+from starcal_ros.record_writer import Writer, imu_batch, serialize, typestore
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.render import ImageSimulator
+from starcal_ros.simulation.truth import Truth
+
+# T18's field and lens on few, large pixels, hardly at rest; the focal length believed 10 % less.
+SCENARIO = Scenario().replace({
+    'simulation.duration_s': 150.0, 'camera.width': 384, 'camera.height': 384,
+    'camera.pixel_pitch_mm': 0.0172, 'camera.focal_length_mm': 23.04,
+    'truth.camera.focal_length_mm': 25.6, 'truth.camera.principal_point_px': (3.0, -2.0),
+    'truth.camera.distortion': (2e-4, -1e-6, 2e-5, 2e-5),
+    'truth.gyro.bias_deg_h': (0.01, -0.02, 0.015), 'motion.dwell_s': 5.0})
+TRUTH = Truth.from_scenario(SCENARIO)
+
+
+def message(counts, stamp_ns=1_500_000_000, encoding='mono16', big=False, step=None):
+    """Return an image in CDR."""
+    types = typestore().types
+    time = types['builtin_interfaces/msg/Time'](*divmod(int(stamp_ns), 10**9))
+    return serialize(IMAGE_TYPE, types[IMAGE_TYPE](
+        types['std_msgs/msg/Header'](time, 'star_tracker_optical'), *counts.shape, encoding,
+        int(big), step or counts.strides[0], np.frombuffer(counts.tobytes(), np.uint8)))
+
+
+def one(data):
+    (found,) = decode_images(Messages.join([data]))
+    return found
+
+
+def record_images(path, frames=None):
+    """Write gyro readings and so many images, or all."""
+    config = ImageConfig(limiting_magnitude=6.6, full_well_electrons=6e4)
+    images = ImageSimulator(SCENARIO, config, TRUTH, catalog.load(config.limiting_magnitude),
+                            np.random.default_rng(1))
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    with Writer(path) as writer:
+        writer.attach(record.TRUTH_ATTACHMENT, json.dumps(TRUTH.as_dict()).encode(),
+                      'application/json')
+        writer.write_batches(imu_batch('/imu/data_raw', gyro.next(gyro.count), 'gyro',
+                                       gyro.rate_variance))
+        for stamp_ns in tracker.next(frames or tracker.count).stamp_ns.tolist():
+            writer.write('/star_tracker/image_raw', IMAGE_TYPE,
+                         message(images.image(stamp_ns), stamp_ns), stamp_ns)
+    return path
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return ten images."""
+    return record_images(tmp_path_factory.mktemp('bag') / 'images.mcap', 10)
+
+
+RAMP = np.arange(20 * 30, dtype=np.uint16).reshape(20, 30) * 97
+
+
+@pytest.mark.parametrize('encoding, counts, big', [
+    ('mono16', RAMP, False), ('16UC1', RAMP, False), ('mono16', RAMP.astype('>u2'), True),
+    ('mono8', RAMP.astype(np.uint8), False), ('8UC1', RAMP.astype(np.uint8), True)])
+def test_grey_images_are_decoded(encoding, counts, big):
+    found = one(message(counts, encoding=encoding, big=big))
+    assert found.stamp_ns == 1_500_000_000
+    np.testing.assert_array_equal(found.counts, counts)
+
+
+def test_padded_rows_are_decoded():
+    padded = np.zeros((20, 40), np.uint16)
+    padded[:, :30] = RAMP
+    data = bytearray(message(padded))
+    at = data.index(struct.pack('<II', 20, 40)) + 4
+    data[at:at + 4] = struct.pack('<I', 30)
+    np.testing.assert_array_equal(one(bytes(data)).counts, RAMP)
+
+
+@pytest.mark.parametrize('data, culprit', [
+    (message(RAMP, encoding='rgb8'), "encoding 'rgb8'; needs mono8"),
+    (message(RAMP)[:20], 'cut short'),
+    (message(RAMP)[:-100], '20 rows of 30 pixels mono16, step 60, do not fit into 1100 bytes'),
+    (message(RAMP, step=59), 'step 59, do not fit'),
+    (b'\0\7\0\0' + message(RAMP)[4:], 'is not plain CDR')])
+def test_what_is_no_grey_image_is_named(data, culprit):
+    with pytest.raises(RecordError, match=culprit):
+        one(data)
+
+
+def test_frames_are_those_of_the_images(bag):
+    with pytest.raises(RecordError, match='no topic /star_tracker/centroids'):
+        record.read(bag)
+    recording = record.read(bag, measure=measure(Detector(384, 384, 0.0172)))
+    frames = recording.frames
+    assert recording.frames_topic == '/star_tracker/image_raw' and len(frames) == 10
+    assert (np.diff(frames.stamp_ns) == 500_000_000).all() and not recording.warnings
+    assert frames.star_counts.min() > 20 and not frames.catalog_id.any()
+    assert 0.01 < np.median(frames.sigma) < 0.3
+
+
+def test_images_of_another_size_than_the_camera_are_named(bag, capsys):
+    assert main(['bootstrap', str(bag)]) == 2
+    assert ('an image of 384 x 384 px; camera.width and camera.height are 1024 x 1024'
+            in capsys.readouterr().err)
+
+
+def test_bootstrap_from_images_alone(tmp_path, capsys):
+    """A focal length that is 10 % wrong, no name of a star, no centroid: to the 16 states."""
+    pytest.importorskip('tetra3rs')
+    out, config = tmp_path / 'result.json', tmp_path / 'config.yaml'
+    bag = record_images(tmp_path / 'images.mcap')
+    config.write_text(parameter_file.dump(SCENARIO))
+    assert main(['bootstrap', str(bag), '--config', str(config), '--out', str(out)]) == 0
+    steps = {step['step']: step for step in json.loads(out.read_text())['steps']}
+    assert list(steps)[-3:] == ['bundle of the spots', 'angular distances', '16 states']
+    for name, step in steps.items():
+        error = np.array([step['intrinsics'][key] for key in INTRINSICS_KEYS]) - TRUTH.intrinsics
+        assert error @ np.linalg.solve(step['covariance'], error) < chi2.ppf(0.9999, 7), name
+    assert steps['16 states']['intrinsics_sigma']['f_mm'] < 1e-3
+    assert 'spots identified' in capsys.readouterr().out
+
+
+def test_intrinsics_reads_images_too(bag, tmp_path, capsys):
+    config = tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(SCENARIO))
+    assert main(['intrinsics', str(bag), '--config', str(config), '--method', 'interstar']) == 1
+    assert 'no camera from 10 frames with' in capsys.readouterr().err
