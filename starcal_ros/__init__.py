@@ -41,7 +41,8 @@ The filter: `estimator`, `acquisition`, `stream`, `timeline`, its options `proce
 `augmentation`; what its covariance means: `verdict`, `evaluation`.
 The camera alone: `calibration`, one method a file, on `attitude_free` and `invariants` (single
 frames), `interstar`, `interstar_fit` and `spots` (nameless spots), `bundle`; still images:
-`plates`; cameras of the papers: `published_cameras`; all of it in a row: `bootstrap`.
+`plates`, from files `plate_images`, through the air `plate_air`, `refraction`; cameras of the
+papers: `published_cameras`; all of it in a row: `bootstrap`.
 Images: `simulation.render`, `imaging.centroid`, `imaging.identify`; what they share: `spot`.
 Conversions to ROS conventions: `ros_conventions`. Calibrations kept: `archive`, `restart`,
 `export`.

@@ -16,7 +16,8 @@ SUMMARY = 'calibrate without knowing camera or stars'
 DESCRIPTION = ('Calibrate a recording of which only the focal length is known, to a tenth, and no '
                'star by its number (numbers in the recording are ignored): self-calibration, '
                'identification, angular distances, the 16-state filter, each from what the last '
-               'one found, on frames of its own. Needs the extra identify.')
+               'one found, on frames of its own. Where there are images and no centroids, the '
+               'stars are measured in them. Needs the extra identify.')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -27,7 +27,8 @@ _OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 're
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what still images need."""
-    images = parser.add_argument_group('still images')
+    images = parser.add_argument_group(
+        'still images, in a folder or in a table', 'The default of --method is bundle.')
     images.add_argument('--fov', metavar='DEG', type=float,
                         help='field of view across the width, for IMAGES to 10 %%; default: found '
                         'from the stars (IMAGES: 8 to 40 deg)')
@@ -42,8 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'refraction, and aberration; needs the times of the images '
                         '(south or west of 0: --site=-33.4,-70.7)')
     images.add_argument('--pressure', metavar='HPA', type=float,
-                        help='there; default: of the standard atmosphere')
-    images.add_argument('--temperature', metavar='C', type=float, help='likewise')
+                        help='of the air there; default: that of the standard atmosphere')
+    images.add_argument('--temperature', metavar='C', type=float,
+                        help='of the air there, likewise')
     images.add_argument('--report', metavar='HTML', help='report to write, one page')
     folder = parser.add_argument_group('IMAGES, a folder')
     folder.add_argument('--heldout', metavar='K', type=int,
