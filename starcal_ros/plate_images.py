@@ -173,7 +173,8 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
         raise NoStarsError(f'{folder}: none of its images can be read: {_reasons(left_out)}')
     height, width = _size({name: image.shape for name, image in measured.items()}, folder)
     images: list[StarImage] = []
-    identifier = _identifier(Detector(width, height, 1.0), fov_deg, observer, site)
+    guess = CameraGuess.of_field(Detector(width, height, 1.0), *_field(fov_deg))
+    identifier = Identifier(guess, observer, site=site)
     for k, (name, spots) in enumerate(measured.items()):
         found = _identify(identifier, name, spots, epoch_utc)
         if isinstance(found, StarImage):
@@ -188,7 +189,8 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
             left_out[image.name] = (f'its stars match {how}, unlike those of most images: flip '
                                     'it, top to bottom')
     if not images:
-        raise NoStarsError(f'{folder}: none of {len(paths)} images can be used: '
+        looked_for = 'field of {:g} to {:g} deg looked for'.format(*_field(fov_deg))
+        raise NoStarsError(f'{folder}: none of {len(paths)} images can be used ({looked_for}): '
                            f'{_reasons(left_out)}')
     return StarImages(width, height,
                       tuple(image for image in images if image.mirrored == flipped),
@@ -237,14 +239,13 @@ def _listed(texts: list[str], between: str = ', ') -> str:
     return between.join(texts[:_NAMED]) + (f'{between}and {more} more' if more > 0 else '')
 
 
-def _identifier(detector: Detector, fov_deg: float | None, observer: Observer,
-                site: Site | None) -> Identifier:
+def _field(fov_deg: float | None) -> tuple[float, float]:
+    """Return between which fields of view the camera is looked for [deg]."""
     if fov_deg is not None and not 0.0 < fov_deg <= _WIDEST_DEG:
         raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
                           f'{_WIDEST_DEG:g}')
-    low, high = FIELD_DEG if fov_deg is None else (
+    return FIELD_DEG if fov_deg is None else (
         fov_deg * (1.0 - FIELD_ERROR), fov_deg * (1.0 + FIELD_ERROR))
-    return Identifier(CameraGuess.of_field(detector, low, high), observer, site=site)
 
 
 def _identify(identifier: Identifier, name: str, image: _Measured, epoch_utc: str | None

@@ -104,7 +104,7 @@ class Summary:
 
 def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
          needs_gyro: bool = True, measure: Callable[[Messages], Frames] | None = None,
-         ) -> Recording:
+         images_first: bool = False) -> Recording:
     """Read the gyro samples and star frames of a recording.
 
     The topics are ``/imu/data_raw`` and ``/star_tracker/centroids``, or else the only ones that
@@ -121,6 +121,8 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
         Refuse a recording without gyro readings.
     measure : callable, optional
         Takes sensor_msgs/Image in CDR and returns their star frames, one a message.
+    images_first : bool
+        Measure the images even where there are centroids.
 
     Raises
     ------
@@ -134,7 +136,7 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     has_gyro = any(topic.name.endswith(GYRO_TOPIC) for topic in topics)
     gyro_topic = (_choose(topics, GYRO_TOPIC, IMU_TYPE, path) if needs_gyro or has_gyro
                   else None)
-    frames_topic, decode = _frames_topic(topics, path, measure)
+    frames_topic, decode = _frames_topic(topics, path, measure, images_first)
     chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
     times: dict[str, list[NDArray[np.int64]]] = {topic.name: [] for topic in chosen}
     gyro_parts, frames_parts = [], []
@@ -188,12 +190,12 @@ def summary(path: str | Path) -> Summary:
 
 
 def _frames_topic(topics: list[Topic], path: Path, measure: Callable[[Messages], Frames] | None,
-                  ) -> tuple[Topic, Callable[[Messages], Frames]]:
+                  images_first: bool) -> tuple[Topic, Callable[[Messages], Frames]]:
     """Find the topic of the star frames, and what makes frames of its messages."""
     def there(wanted: str) -> bool:
         return any(topic.name.endswith(wanted) for topic in topics)
 
-    if measure is not None and there(IMAGES_TOPIC) and not there(FRAMES_TOPIC):
+    if measure is not None and (images_first or there(IMAGES_TOPIC) and not there(FRAMES_TOPIC)):
         return _choose(topics, IMAGES_TOPIC, IMAGE_TYPE, path), measure
     return _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path), decode_centroids
 

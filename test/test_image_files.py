@@ -173,3 +173,22 @@ def test_exif_says_when_it_was_taken(tmp_path, original, gps, expected):
     Image.fromarray(RAMP.astype(np.uint8)).save(tmp_path / 'a.jpg', exif=exif)
     when = load(tmp_path / 'a.jpg').taken
     assert (when and when.isoformat()) == expected
+
+
+@pytest.mark.parametrize('card, damaged', [
+    (b'NAXIS1  =                   60', b'NAXIS1  =                  999'),
+    (b'NAXIS2  =', b'NAXIX2  ='), (b'BITPIX  =                   16', b'BITPIX  = ?')])
+def test_a_damaged_header_of_fits_is_named(tmp_path, card, damaged):
+    fits.PrimaryHDU((RAMP * 27).astype(np.int16)).writeto(tmp_path / 'a.fits')
+    data = (tmp_path / 'a.fits').read_bytes()
+    assert card in data
+    (tmp_path / 'a.fits').write_bytes(data.replace(card, damaged.ljust(len(card))))
+    refused(tmp_path / 'a.fits')
+
+
+def test_an_image_of_which_only_the_time_is_damaged_is_read(tmp_path):
+    assert taken(tmp_path, DATE_OBS='2026-07-02T12:00:00') is not None
+    data = (tmp_path / 'a.fits').read_bytes()
+    (tmp_path / 'a.fits').write_bytes(data.replace(b"= '2026-07-02T", b'= ?2026-07-02T'))
+    picture = load(tmp_path / 'a.fits')
+    assert picture.taken is None and picture.counts.shape == RAMP.shape

@@ -112,6 +112,28 @@ def test_frames_are_those_of_the_images(bag):
     assert 0.01 < np.median(frames.sigma) < 0.3
 
 
+def test_images_are_measured_where_there_are_centroids_only_when_asked_for(tmp_path):
+    tracker, eye = sensors.star_tracker(SCENARIO), measure(Detector(384, 384, 0.0172))
+    path = tmp_path / 'both.mcap'
+    with Writer(path) as writer:
+        writer.write_centroids('/star_tracker/centroids', tracker.next(2))
+        writer.write('/star_tracker/image_raw', IMAGE_TYPE,
+                     message(np.full((384, 384), 100, np.uint16)), 1_500_000_000)
+    for first, topic, count in ((False, '/star_tracker/centroids', 2),
+                                (True, '/star_tracker/image_raw', 1)):
+        recording = record.read(path, needs_gyro=False, measure=eye, images_first=first)
+        assert recording.frames_topic == topic and len(recording.frames) == count
+
+
+def test_images_that_are_asked_for_and_missing_are_named(tmp_path, capsys):
+    path = tmp_path / 'stars.mcap'
+    with Writer(path) as writer:
+        writer.write_centroids('/star_tracker/centroids', sensors.star_tracker(SCENARIO).next(2))
+        writer.write_imu('/imu/data_raw', sensors.gyro(SCENARIO).next(2))
+    assert main(['bootstrap', str(path), '--images']) == 2
+    assert 'has no topic /star_tracker/image_raw' in capsys.readouterr().err
+
+
 def test_images_of_another_size_than_the_camera_are_named(bag, capsys):
     assert main(['bootstrap', str(bag)]) == 2
     assert ('an image of 384 x 384 px; camera.width and camera.height are 1024 x 1024'

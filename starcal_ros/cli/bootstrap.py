@@ -24,6 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
     arguments.add_config(parser)
+    parser.add_argument('--images', action='store_true',
+                        help='measure the stars in star_tracker/image_raw even where the '
+                        'recording has centroids')
     parser.add_argument('--out', metavar='RESULT.json',
                         help='the result of the filter, with the camera after each step')
 
@@ -41,7 +44,8 @@ def run(options: argparse.Namespace) -> int:
         from starcal_ros.scenario import detector
         with progress('reading') as on_progress:
             recording = record.read(options.bag, on_progress,
-                                    measure=measure(detector(scenario.camera)))
+                                    measure=measure(detector(scenario.camera)),
+                                    images_first=options.images)
         with progress('bootstrap') as on_progress:
             chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
     except ImportError as error:

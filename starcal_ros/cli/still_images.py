@@ -20,6 +20,8 @@ from starcal_ros.refraction import Site
 EPOCH = '2020-01-01T00:00:00'
 """Time of images of which none is known: a few years move no star by a hundredth of a pixel."""
 
+_UNFIT = {'interstar': '; on still images interstar needs --interstar-equations TCOC',
+          'predicted_centroid': '; predicted_centroid needs a gyro'}
 _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'stars')
 _OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report')
@@ -150,7 +152,7 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     if found is None:
         raise result.CalibrationError(
             f'{where}: no camera from {len(images.names)} images with '
-            f'{len(images.frames.catalog_id)} stars')
+            f'{len(images.frames.catalog_id)} stars' + _UNFIT.get(scenario.intrinsics.method, ''))
     outcome = {'method': scenario.intrinsics.method, 'source': str(where), **found.as_dict(),
                **source.told}
     if site is not None:

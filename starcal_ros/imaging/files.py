@@ -13,6 +13,7 @@ from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,7 @@ def load(path: str | PathLike[str]) -> Picture:
     is_fits = path.suffix.lower() in FITS_SUFFIXES
     try:
         pixels, saturation, taken = _read_fits(path) if is_fits else _read_picture(path)
-    # What Pillow and astropy raise.
+    # What Pillow raises, and what `_read_fits` makes of astropy's.
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise ImageFileError(f'{path}: {" ".join(str(error).split())}') from None
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
@@ -110,14 +111,19 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
 
 def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
     from astropy.io import fits     # here, because it takes a quarter of a second
-    with fits.open(path) as units:
-        for unit in units:
-            if unit.is_image and unit.data is not None:
-                header, pixels = unit.header, np.array(unit.data)
-                break
-        else:
-            raise ValueError('no image in it')
-    saturation = float(header.get('SATURATE', top(pixels.dtype)))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')         # what matters is raised
+            with fits.open(path) as units:
+                for unit in units:
+                    if unit.is_image and unit.data is not None:
+                        header, pixels = unit.header, np.array(unit.data)
+                        break
+                else:
+                    raise ValueError('no image in it')
+        saturation = float(header.get('SATURATE', top(pixels.dtype)))
+    except (TypeError, LookupError, fits.VerifyError) as error:
+        raise ValueError(f'damaged: {type(error).__name__} {error}') from None
     if pixels.ndim == 3:
         pixels = np.moveaxis(pixels, 0, -1)     # planes of colour
     if str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper() != 'TOP-DOWN':

@@ -9,6 +9,7 @@ of the day open. What can not be read counts as not said: no image is refused fo
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
@@ -42,21 +43,29 @@ def of_fits(header: Mapping[str, Any]) -> datetime | None:
     That is DATE-AVG, or DATE-OBS with TIME-OBS (where it has no time of its own) and half of
     EXPTIME. Time scales other than UTC (TIMESYS) are not read.
     """
-    if str(header.get('TIMESYS', 'UTC')).strip().upper() not in ('UTC', 'UT', 'GMT', 'UT1'):
+    from astropy.io.fits import VerifyError     # of a damaged card
+
+    def card(*keys: str, default: object = '') -> object:
+        for key in keys:
+            with suppress(VerifyError):
+                if key in header:
+                    return header[key]
+        return default
+
+    if str(card('TIMESYS', default='UTC')).strip().upper() not in ('UTC', 'UT', 'GMT', 'UT1'):
         return None
-    middle = _iso_time(header.get('DATE-AVG'))
+    middle = _iso_time(card('DATE-AVG'))
     if middle is not None:
         return middle
-    text = str(header.get('DATE-OBS', '')).strip()
+    text = str(card('DATE-OBS')).strip()
     if len(text) == _DATE_LENGTH and 'TIME-OBS' in header:
-        text += f'T{str(header["TIME-OBS"]).strip()}'
+        text += f'T{str(card("TIME-OBS")).strip()}'
     begin = _iso_time(text)
     if begin is None or begin.tzinfo is None:
         return begin
     try:
-        exposure_s = float(header.get('EXPTIME', header.get('EXPOSURE', 0.0)))
-        return begin + timedelta(seconds=exposure_s / 2.0)
-    except (TypeError, ValueError, OverflowError):
+        return begin + timedelta(seconds=float(str(card('EXPTIME', 'EXPOSURE', default=0))) / 2.0)
+    except (ValueError, OverflowError):
         return begin
 
 
