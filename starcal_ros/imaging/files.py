@@ -122,11 +122,12 @@ def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
                 else:
                     raise ValueError('no image in it')
         saturation = float(header.get('SATURATE', top(pixels.dtype)))
+        order = str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper()
     except (TypeError, LookupError, fits.VerifyError) as error:
         raise ValueError(f'damaged: {type(error).__name__} {error}') from None
     if pixels.ndim == 3:
         pixels = np.moveaxis(pixels, 0, -1)     # planes of colour
-    if str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper() != 'TOP-DOWN':
+    if order != 'TOP-DOWN':
         pixels = pixels[::-1]
     return pixels, saturation, image_time.of_fits(header)
 
