@@ -1,85 +1,149 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Grey images from CDR: sensor_msgs/Image, one after the other.
+"""Images to and from CDR: sensor_msgs/Image.
 
 ::
 
-    Image   sec i4 | nanosec u4 | frame_id | height u4 | width u4 | encoding: length u4, bytes |
+    Image   sec i4 | nanosec u4 | frame_id | height u4 | width u4 | encoding |
             is_bigendian u1 | step u4 | data: length u4, bytes
 
-``is_bigendian`` is that of the pixels; `step` the bytes of a row, which may be padded.
+Of each row of `step` bytes the first `width` pixels count, whatever follows them. Colour becomes
+luminance (ITU-R BT.601), saturated where any of its channels is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import struct
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.cdr import (ENCAPSULATION, HEADER, ByteOrder, Messages, RecordError,
-                             by_byte_order, header_stamp_ns)
+from starcal_ros.cdr import ENCAPSULATION, RecordError
+from starcal_ros.imaging.files import grey
 
 IMAGE_TYPE = 'sensor_msgs/msg/Image'
 
-_GREY = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2'}
+# Type of a channel, number of channels, which of them are red, green and blue.
+_ENCODINGS = {
+    **{name: ('u1', 1, (0,)) for name in ('mono8', '8UC1')},
+    **{name: ('u2', 1, (0,)) for name in ('mono16', '16UC1')},
+    'rgb8': ('u1', 3, (0, 1, 2)), 'bgr8': ('u1', 3, (2, 1, 0)),
+    'rgba8': ('u1', 4, (0, 1, 2)), 'bgra8': ('u1', 4, (2, 1, 0)),
+    'rgb16': ('u2', 3, (0, 1, 2)), 'bgr16': ('u2', 3, (2, 1, 0)),
+}
 
 
-class StampedImage(NamedTuple):
-    """An image.
+class ImageMessageError(RecordError):
+    """An image that can not be used.
+
+    Attributes
+    ----------
+    kind : str
+        What is wrong, without the numbers of this one image.
+    """
+
+    def __init__(self, kind: str, detail: str) -> None:
+        super().__init__(f'{kind}: {detail}')
+        self.kind = kind
+
+
+class ImageMessage(NamedTuple):
+    """One image.
 
     Attributes
     ----------
     stamp_ns : int
         Middle of the exposure, UTC since the Unix epoch.
-    counts : (height, width) uint8 or uint16 array
-        Top row first; a view of the message.
+    frame_id : str
+    pixels : (height, width) array
+        uint8 or uint16 counts, top row first.
     """
 
     stamp_ns: int
-    counts: NDArray[np.generic]
+    frame_id: str
+    pixels: NDArray[np.generic]
 
 
-def decode_images(messages: Messages) -> Iterator[StampedImage]:
-    """Decode sensor_msgs/Image, one a message, in the same order.
+def encode_image(stamp_ns: int, pixels: NDArray[np.uint16],
+                 frame_id: str = 'star_tracker_optical') -> bytes:
+    """Encode an image (height, width) as a little-endian mono16 sensor_msgs/Image."""
+    height, width = pixels.shape
+    head = b'\0\1\0\0' + struct.pack('<iI', *divmod(stamp_ns, 10**9)) + _string(frame_id)
+    # The byte is_bigendian follows the encoding at once; the step is aligned again.
+    head = _aligned(head) + struct.pack('<II', height, width) + _string('mono16') + b'\0'
+    data = pixels.astype('<u2').tobytes()
+    return b''.join((_aligned(head), struct.pack('<II', 2 * width, len(data)), data))
+
+
+def decode_image(message: bytes) -> ImageMessage:
+    """Decode sensor_msgs/Image.
 
     Raises
     ------
-    RecordError
-        If a message is too short for its own content, is not plain CDR, or is not grey.
+    ImageMessageError
+        If the message is cut short or not plain CDR, its encoding is not one of the known, or
+        `width`, `step` and the length of `data` contradict each other.
     """
-    byte_order: list[ByteOrder] = ['<'] * len(messages)
-    for rows, order in by_byte_order(messages):
-        for row in rows.tolist():
-            byte_order[row] = order
-    for start, size, order in zip(messages.start.tolist(), messages.size.tolist(), byte_order):
-        yield _decode(messages.data[start + ENCAPSULATION:start + size], order)
+    stamp_ns, frame_id, height, width, encoding, is_bigendian, step, data = _fields(message)
+    if encoding not in _ENCODINGS:
+        raise ImageMessageError('unsupported encoding', f'{encoding[:40]!r}, supported are '
+                                + ', '.join(_ENCODINGS))
+    kind, channels, colours = _ENCODINGS[encoding]
+    pixel = np.dtype(('>' if is_bigendian else '<') + kind)
+    row = width * channels * pixel.itemsize
+    if not height or not width:
+        raise ImageMessageError('empty image', f'{width} x {height} pixels')
+    if step < row:
+        raise ImageMessageError('wrong step', f'{step} bytes a row, {width} pixels {encoding} '
+                                f'need {row}')
+    if len(data) < (height - 1) * step + row:
+        raise ImageMessageError('wrong length of data', f'{len(data)} bytes, {height} rows of '
+                                f'{step} bytes need {height * step}')
+    # Strides, not a reshape: the padding of the last row may be missing.
+    pixels: NDArray[np.generic] = np.ndarray(
+        (height, width, channels), pixel, data, strides=(step, channels * pixel.itemsize,
+                                                         pixel.itemsize))
+    native = pixel.newbyteorder('=')
+    if channels == 1:
+        return ImageMessage(stamp_ns, frame_id, pixels[..., 0].astype(native))
+    luminance = grey(pixels[..., colours].astype(np.float32), np.iinfo(native).max)
+    return ImageMessage(stamp_ns, frame_id, np.rint(luminance).astype(native))
 
 
-def _decode(data: NDArray[np.uint8], order: ByteOrder) -> StampedImage:
-    message = data.tobytes()
+def _fields(message: bytes) -> tuple[int, str, int, int, str, int, int, memoryview]:
+    """Return the fields of a message as they stand, `data` as a view."""
     try:
-        header = np.frombuffer(message[:HEADER.itemsize], HEADER.newbyteorder(order))
-        at = HEADER.itemsize + int(header['frame_id_length'][0]) + 3 & ~3
-        height, width, length = struct.unpack_from(f'{order}III', message, at)
-        at += 12
-        encoding = bytes(message[at:at + length]).rstrip(b'\0').decode(errors='replace')
-        at += length
-        (big,) = struct.unpack_from('B', message, at)
-        at = at + 1 + 3 & ~3
-        step, length = struct.unpack_from(f'{order}II', message, at)
-    except (struct.error, ValueError, IndexError):
-        raise RecordError(f'a message of {len(data) + ENCAPSULATION} bytes is cut short: '
-                          f'{IMAGE_TYPE} needs more') from None
-    if encoding not in _GREY:
-        raise RecordError(f'a {IMAGE_TYPE} of encoding {encoding!r}; needs {", ".join(_GREY)}')
-    pixel = np.dtype(('>' if big else '<') + _GREY[encoding])
-    pixels = data[at + 8:at + 8 + length]
-    row, needed = width * pixel.itemsize, height * step
-    if step < row or len(pixels) < needed or not row or not height:
-        raise RecordError(f'{height} rows of {width} pixels {encoding}, step {step}, do not fit '
-                          f'into {len(pixels)} bytes of a {IMAGE_TYPE}')
-    rows = np.ascontiguousarray(pixels[:needed].reshape(height, step)[:, :row])
-    return StampedImage(int(header_stamp_ns(header)[0]), rows.view(pixel))
+        encapsulation, order = message[:2], '<' if message[1] else '>'
+        if encapsulation not in (b'\0\0', b'\0\1'):
+            raise ImageMessageError('damaged message', 'the encapsulation '
+                                    f'0x{encapsulation.hex()} is not plain CDR')
+        sec, nanosec, length = struct.unpack_from(f'{order}iII', message, 4)
+        frame_id, at = _text(message, 16, length)
+        height, width, length = struct.unpack_from(f'{order}III', message, at := at + 3 & ~3)
+        encoding, at = _text(message, at + 12, length)
+        is_bigendian = message[at]
+        step, length = struct.unpack_from(f'{order}II', message, at := at + 4 & ~3)
+    except (struct.error, IndexError):
+        raise ImageMessageError('damaged message', f'a message of {len(message)} bytes is cut '
+                                f'short before its pixels, {IMAGE_TYPE}') from None
+    data = memoryview(message)[at + 8:at + 8 + length]
+    if len(data) < length:
+        raise ImageMessageError('damaged message', f'{len(data)} bytes of pixels, {length} are '
+                                'announced')
+    return (sec * 10**9 + nanosec, frame_id, height, width, encoding, is_bigendian, step, data)
+
+
+def _text(message: bytes, at: int, length: int) -> tuple[str, int]:
+    """Return a string of a length with its NUL, and where it ends."""
+    return message[at:at + max(length - 1, 0)].decode(errors='replace'), at + length
+
+
+def _string(text: str) -> bytes:
+    content = text.encode() + b'\0'
+    return struct.pack('<I', len(content)) + content
+
+
+def _aligned(head: bytes) -> bytes:
+    """Pad what comes before a number of four bytes."""
+    return head + bytes(-(len(head) - ENCAPSULATION) % 4)

@@ -3,7 +3,6 @@
 """Recordings that hold images and no centroids: read, and calibrated from nothing else."""
 
 import json
-import struct
 
 import numpy as np
 import pytest
@@ -11,13 +10,13 @@ from scipy.stats import chi2
 
 from starcal_ros import catalog, parameter_file, record
 from starcal_ros.camera import INTRINSICS_KEYS, Detector
-from starcal_ros.cdr import Messages, RecordError
-from starcal_ros.cdr_image import IMAGE_TYPE, decode_images
+from starcal_ros.cdr import RecordError
+from starcal_ros.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.cli import main
 from starcal_ros.config import Scenario
 from starcal_ros.config_image import ImageConfig
 from starcal_ros.imaging.recorded import measure
-from starcal_ros.record_writer import Writer, imu_batch, serialize, typestore
+from starcal_ros.record_writer import Writer, imu_batch
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.render import ImageSimulator
 from starcal_ros.simulation.truth import Truth
@@ -30,20 +29,6 @@ SCENARIO = Scenario().replace({
     'truth.camera.distortion': (2e-4, -1e-6, 2e-5, 2e-5),
     'truth.gyro.bias_deg_h': (0.01, -0.02, 0.015), 'motion.dwell_s': 5.0})
 TRUTH = Truth.from_scenario(SCENARIO)
-
-
-def message(counts, stamp_ns=1_500_000_000, encoding='mono16', big=False, step=None):
-    """Return an image in CDR."""
-    types = typestore().types
-    time = types['builtin_interfaces/msg/Time'](*divmod(int(stamp_ns), 10**9))
-    return serialize(IMAGE_TYPE, types[IMAGE_TYPE](
-        types['std_msgs/msg/Header'](time, 'star_tracker_optical'), *counts.shape, encoding,
-        int(big), step or counts.strides[0], np.frombuffer(counts.tobytes(), np.uint8)))
-
-
-def one(data):
-    (found,) = decode_images(Messages.join([data]))
-    return found
 
 
 def record_images(path, frames=None):
@@ -59,7 +44,7 @@ def record_images(path, frames=None):
                                        gyro.rate_variance))
         for stamp_ns in tracker.next(frames or tracker.count).stamp_ns.tolist():
             writer.write('/star_tracker/image_raw', IMAGE_TYPE,
-                         message(images.image(stamp_ns), stamp_ns), stamp_ns)
+                         encode_image(stamp_ns, images.image(stamp_ns)), stamp_ns)
     return path
 
 
@@ -67,38 +52,6 @@ def record_images(path, frames=None):
 def bag(tmp_path_factory):
     """Return ten images."""
     return record_images(tmp_path_factory.mktemp('bag') / 'images.mcap', 10)
-
-
-RAMP = np.arange(20 * 30, dtype=np.uint16).reshape(20, 30) * 97
-
-
-@pytest.mark.parametrize('encoding, counts, big', [
-    ('mono16', RAMP, False), ('16UC1', RAMP, False), ('mono16', RAMP.astype('>u2'), True),
-    ('mono8', RAMP.astype(np.uint8), False), ('8UC1', RAMP.astype(np.uint8), True)])
-def test_grey_images_are_decoded(encoding, counts, big):
-    found = one(message(counts, encoding=encoding, big=big))
-    assert found.stamp_ns == 1_500_000_000
-    np.testing.assert_array_equal(found.counts, counts)
-
-
-def test_padded_rows_are_decoded():
-    padded = np.zeros((20, 40), np.uint16)
-    padded[:, :30] = RAMP
-    data = bytearray(message(padded))
-    at = data.index(struct.pack('<II', 20, 40)) + 4
-    data[at:at + 4] = struct.pack('<I', 30)
-    np.testing.assert_array_equal(one(bytes(data)).counts, RAMP)
-
-
-@pytest.mark.parametrize('data, culprit', [
-    (message(RAMP, encoding='rgb8'), "encoding 'rgb8'; needs mono8"),
-    (message(RAMP)[:20], 'cut short'),
-    (message(RAMP)[:-100], '20 rows of 30 pixels mono16, step 60, do not fit into 1100 bytes'),
-    (message(RAMP, step=59), 'step 59, do not fit'),
-    (b'\0\7\0\0' + message(RAMP)[4:], 'is not plain CDR')])
-def test_what_is_no_grey_image_is_named(data, culprit):
-    with pytest.raises(RecordError, match=culprit):
-        one(data)
 
 
 def test_frames_are_those_of_the_images(bag):
@@ -118,7 +71,8 @@ def test_images_are_measured_where_there_are_centroids_only_when_asked_for(tmp_p
     with Writer(path) as writer:
         writer.write_centroids('/star_tracker/centroids', tracker.next(2))
         writer.write('/star_tracker/image_raw', IMAGE_TYPE,
-                     message(np.full((384, 384), 100, np.uint16)), 1_500_000_000)
+                     encode_image(1_500_000_000, np.full((384, 384), 100, np.uint16)),
+                     1_500_000_000)
     for first, topic, count in ((False, '/star_tracker/centroids', 2),
                                 (True, '/star_tracker/image_raw', 1)):
         recording = record.read(path, needs_gyro=False, measure=eye, images_first=first)
@@ -132,6 +86,15 @@ def test_images_that_are_asked_for_and_missing_are_named(tmp_path, capsys):
         writer.write_imu('/imu/data_raw', sensors.gyro(SCENARIO).next(2))
     assert main(['bootstrap', str(path), '--images']) == 2
     assert 'has no topic /star_tracker/image_raw' in capsys.readouterr().err
+
+
+def test_an_image_that_can_not_be_used_is_named(tmp_path):
+    path = tmp_path / 'odd.mcap'
+    data = encode_image(1, np.zeros((384, 384), np.uint16)).replace(b'mono16', b'yuv422')
+    with Writer(path) as writer:
+        writer.write('/star_tracker/image_raw', IMAGE_TYPE, data, 1)
+    with pytest.raises(RecordError, match="image_raw: unsupported encoding: 'yuv422'"):
+        record.read(path, needs_gyro=False, measure=measure(Detector(384, 384, 0.0172)))
 
 
 def test_images_of_another_size_than_the_camera_are_named(bag, capsys):

@@ -86,12 +86,8 @@ def load(path: str | PathLike[str]) -> Picture:
         raise ImageFileError(f'{path}: pixels of shape {pixels.shape}; one image expected, '
                              'grey or with colours')
     counts = pixels.astype(np.float32)
-    if channels > 1:
-        colour = counts[..., :3] if channels > 2 else counts[..., :1]      # without alpha
-        full = colour.max(axis=-1) >= saturation
-        counts = (colour @ _LUMINANCE[:colour.shape[-1]].astype(np.float32)
-                  if channels > 2 else colour[..., 0])
-        counts[full] = saturation
+    if channels > 2:
+        counts = grey(counts[..., :3], saturation)      # without alpha
     elif pixels.ndim == 3:
         counts = counts[..., 0]
     if not np.isfinite(counts).all():
@@ -130,6 +126,13 @@ def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
     if order != 'TOP-DOWN':
         pixels = pixels[::-1]
     return pixels, saturation, image_time.of_fits(header)
+
+
+def grey(colour: NDArray[np.float32], saturation: float) -> NDArray[np.float32]:
+    """Return the luminance of an image (height, width, 3), full where a channel is."""
+    counts = colour @ _LUMINANCE.astype(np.float32)
+    counts[colour.max(axis=-1) >= saturation] = saturation
+    return counts
 
 
 def top(kind: np.dtype[Any]) -> float:

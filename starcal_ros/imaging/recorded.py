@@ -10,7 +10,7 @@ import numpy as np
 
 from starcal_ros.camera import Detector
 from starcal_ros.cdr import Messages, RecordError
-from starcal_ros.cdr_image import decode_images
+from starcal_ros.cdr_image import decode_image
 from starcal_ros.config_image import CentroidConfig
 from starcal_ros.imaging.centroid import extract
 from starcal_ros.measurements import Frames
@@ -32,7 +32,8 @@ def measure(detector: Detector, config: CentroidConfig = CentroidConfig()
     """
     def frames(messages: Messages) -> Frames:
         stamps, uv, sigma, flux = [], [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
-        for stamp_ns, counts in decode_images(messages):
+        for start, size in zip(messages.start.tolist(), messages.size.tolist()):
+            stamp_ns, _, counts = decode_image(messages.data[start:start + size].tobytes())
             height, width = counts.shape
             if (width, height) != (detector.width, detector.height):
                 raise RecordError(f'an image of {width} x {height} px; camera.width and '
