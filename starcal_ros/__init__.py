@@ -40,7 +40,8 @@ Mathematics: `rotation`, `camera`, `kalman`, `preintegration`. The sky: `catalog
 The filter: `estimator`, `acquisition`, `stream`, `timeline`, its options `process_noise`,
 `augmentation`; what its covariance means: `verdict`, `evaluation`.
 The camera alone: `calibration`, one method a file, on `attitude_free` and `invariants` (single
-frames), `interstar`, `interstar_fit` and `spots` (nameless spots), `bundle`; still images:
+frames), `interstar`, `interstar_fit` and `spots` (nameless spots), `bundle`; images of the sky
+in files: `plate_images`, through the air: `plate_air`, `refraction`; the stars of still images:
 `plates`; cameras of the papers: `published_cameras`; all of it in a row: `bootstrap`.
 Images: `simulation.render`, `imaging.centroid`, `imaging.identify`; what they share: `spot`;
 live: `imaging.frame`, `numbering`.

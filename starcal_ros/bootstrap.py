@@ -6,9 +6,14 @@ Each step begins with what the last one knows, and none sees a frame that an ear
 learnt from: what the covariances promise stays true. The recording is divided accordingly ::
 
     first quarter    self-calibration of the tracked spots: interstar (S24, SCOC freed of its
-                     bias), then the bundle of the same spots, from there
+                     bias), then the bundle of the same spots, from there or from the nominal
+                     camera, whichever fits better
     second quarter   identification, then angular distances (W19, fully weighted)
     second half      identification, then the 16-state filter (T18)
+
+The bias that is taken from SCOC follows from the stated sigmas. Where these are rough, as those of
+trails in images, which are longer than wide, it can be wrong by many sigmas; a self-calibration
+that the bundle contradicts is therefore left out, and said to be.
 """
 
 from __future__ import annotations
@@ -19,10 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from starcal_ros import calibration
 from starcal_ros.calibration import predicted_centroid
-from starcal_ros.camera_estimate import CameraEstimate, beginning
+from starcal_ros.calibration.bundle import Bundle
+from starcal_ros.camera_estimate import CameraEstimate, CameraMethod, beginning
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import LENS
 from starcal_ros.imaging.camera_guess import CameraGuess
@@ -37,6 +44,11 @@ Array = NDArray[np.float64]
 
 FOCAL_ERROR = 0.1
 """Part of the focal length by which the nominal one may be wrong."""
+
+
+_SELF = {'intrinsics.method': 'interstar', 'intrinsics.interstar_equations': 'SCOC'}
+_ANGLES = {'intrinsics.method': 'angular_distance', 'intrinsics.weighting': 'full'}
+_AGREE = 0.9999         # chance that two cameras of the same stars are not called contradictory
 
 
 class Step(NamedTuple):
@@ -103,12 +115,13 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     steps = [Step('nominal', beginning(scenario))]
     notices: list[str] = []
 
-    def step(name: str, part: Frames, known: CameraEstimate, **options: object) -> CameraEstimate:
-        begun = calibration.start(scenario.replace({
-            f'intrinsics.{key}': value for key, value in options.items()}), known)
+    def run(begun: CameraMethod, part: Frames) -> CameraEstimate | None:
         begun.add_gyro(gyro)
         begun.add_frames(part)
-        found = begun.estimate()
+        return begun.estimate()
+
+    def step(name: str, begun: CameraMethod, part: Frames, found: CameraEstimate | None
+             ) -> CameraEstimate:
         notices.extend(f'{name}: {text}' for text in begun.take_notices())
         if found is None:
             raise CalibrationError(f'{name}: no camera from {len(part)} frames with '
@@ -116,17 +129,30 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         steps.append(Step(name, found))
         return found
 
-    found = step('self-calibration', first, steps[0].camera, method='interstar',
-                 interstar_equations='SCOC')
-    on_progress(0.15)
+    nominal = steps[0].camera
+    interstar = calibration.start(scenario.replace(_SELF), nominal)
+    angles = run(interstar, first)
+    on_progress(0.1)
     # The same frames again: begun there, but not believed a second time.
-    free = replace(steps[0].camera, intrinsics=found.intrinsics)
-    camera = step('bundle of the spots', first, free, method='bundle')
+    starts = [nominal] if angles is None else [
+        nominal, replace(nominal, intrinsics=angles.intrinsics)]
+    bundles = [Bundle(scenario, known) for known in starts]
+    cameras = [run(bundle, first) for bundle in bundles]
     on_progress(0.25)
+    best = int(np.argmin([bundle.misfit for bundle in bundles]))
+    seen = cameras[best]
+    if seen is None or angles is not None and _agree(angles, seen):
+        step('self-calibration', interstar, first, angles)
+    else:
+        notices.append('self-calibration by interstar angles '
+                       + ('says nothing' if angles is None else 'contradicts the bundle')
+                       + ': left out')
+    camera = step('bundle of the spots', bundles[best], first, seen)
     numbered = identify(gyro, Frames.concatenate((second, rest)), camera, scenario,
                         lambda part: on_progress(0.25 + 0.45 * part))
-    camera = step('angular distances', numbered[:len(second)], camera,
-                  method='angular_distance', weighting='full')
+    second = numbered[:len(second)]
+    distances = calibration.start(scenario.replace(_ANGLES), camera)
+    camera = step('angular distances', distances, second, run(distances, second))
     on_progress(0.75)
     stream = predicted_centroid.begin(scenario, camera)
     stream.add_gyro(gyro)
@@ -142,6 +168,17 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     notices += [f'16 states: {text}' for text in stream.take_notices()]
     on_progress(1.0)
     return Chain(tuple(steps), numbered, stream, tuple(notices))
+
+
+def _agree(camera: CameraEstimate, better: CameraEstimate) -> bool:
+    """Tell whether two cameras differ by no more than their covariances allow."""
+    free = better.sigma > 0.0
+    away = (camera.intrinsics - better.intrinsics)[free]
+    covariance = (camera.covariance + better.covariance)[np.ix_(free, free)]
+    scale = np.sqrt(np.diag(covariance))
+    away /= scale
+    return bool(away @ np.linalg.solve(covariance / np.outer(scale, scale), away)
+                < chi2.ppf(_AGREE, free.sum()))
 
 
 def identify(gyro: GyroSamples, frames: Frames, camera: CameraEstimate, scenario: Scenario,

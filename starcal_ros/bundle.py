@@ -310,6 +310,7 @@ class _Normal:
         pairs = np.swapaxes(points.H_d, -1, -2)
         N_dd = np.zeros((p, 2, 2))
         np.add.at(N_dd, points.point, pairs @ points.H_d)
+        N_dd[~N_dd.any(axis=(1, 2))] = np.eye(2)        # all of its spots left out: it stays
         N_dc, b_d = np.zeros((p, 2, self._S.shape[0])), np.zeros((p, 2))
         np.add.at(N_dc, points.point, pairs @ points.H_c)
         np.add.at(b_d, points.point, (pairs @ points.z[..., None])[..., 0])

@@ -14,18 +14,25 @@ from starcal_ros.measurements import Frames
 from starcal_ros.places import Placed
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _OUT_OF_PLACE = 0.1     # of the size of a frame: no camera that is adjusted is that wrong
 
 
 def identified(frames: Frames, placed: Placed) -> Spots:
     """Return the stars with a place, of the frames that have enough of them."""
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-    usable = np.isfinite(placed.stars.sigma)
-    usable &= np.bincount(frame, usable, len(frames))[frame] >= MIN_STARS
-    u_i, uv, sigma = (part[usable] for part in placed.stars)
-    number = np.unique(frame[usable], return_inverse=True)[1]
+    use = usable(frames, placed)
+    u_i, uv, sigma = (part[use] for part in placed.stars)
+    frame = np.repeat(np.arange(len(frames)), frames.star_counts)[use]
+    number = np.unique(frame, return_inverse=True)[1]
     return Spots(number, uv, sigma, u_i, np.full(len(number), -1))
+
+
+def usable(frames: Frames, placed: Placed) -> Mask:
+    """Tell which stars have a place and are in a frame that has enough of them."""
+    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+    use = np.isfinite(placed.stars.sigma)
+    return use & (np.bincount(frame, use, len(frames))[frame] >= MIN_STARS)
 
 
 def attitudes(spots: Spots, r_s: Array) -> Array:

@@ -2,10 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Still images of the sky, each with an attitude of its own: no gyro, no clock.
 
-They become `Frames`, stamped a second apart from an epoch, so that every method which needs no
-attitude calibrates with them. Nothing is known of the camera but its number of pixels: it begins
-at a focal length found from the distances of the stars, and its pixel pitch is `PITCH_MM`
-whatever it is in truth, for only ratios to it are told.
+They become `Frames`, so that every method which needs no attitude calibrates with them. Nothing
+is known of the camera but its number of pixels: it begins at a focal length found from the
+distances of the stars, and its pixel pitch is `PITCH_MM` whatever it is in truth, for only ratios
+to it are told.
+
+Where the stars were seen through the air from a known site, each round of the calibration frees
+the centroids of the refraction at the attitudes and with the camera of the round before.
 
 Results are in OpenCV's forward model: f, u0, v0 in raster pixels, k1, k2, p1, p2 without unit.
 """
@@ -13,7 +16,7 @@ Results are in OpenCV's forward model: f, u0, v0 in raster pixels, k1, k2, p1, p
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +31,8 @@ from starcal_ros.config import Scenario
 from starcal_ros.measurements import Frames
 from starcal_ros.parameter import ConfigError
 from starcal_ros.places import Places
+from starcal_ros.plate_air import without_air
+from starcal_ros.refraction import Site
 from starcal_ros.ros_conventions import camera_info
 from starcal_ros.scenario import detector
 from starcal_ros.units import DEG
@@ -40,9 +45,11 @@ PITCH_MM = 0.005
 KEYS = ('f_px', 'u0_px', 'v0_px', 'k1', 'k2', 'p1', 'p2')
 """The intrinsics in results; p1 and p2 are OpenCV's."""
 
-_SIGMA_PX = 0.1         # of a centroid, to begin with
+_SIGMA_PX = 0.1         # of a centroid without a sigma of its own, to begin with
+_LEAST_SIGMA_PX = 1e-4
 _COLUMNS = ('image', 'u', 'v', 'catalog_id')
-_SECOND_NS = 10**9
+_STEP_NS = 10**6        # between images without a time of their own: methods want an order
+_ROUNDS, _ROUNDS_IN_AIR = 2, 4
 
 
 @dataclass(frozen=True)
@@ -101,7 +108,7 @@ class PlateCamera:
     estimate : CameraEstimate
         In units of PITCH_MM.
     sigma_px : float
-        Of a centroid, each axis, as the residuals have it [px].
+        Of a centroid, each axis, as the residuals have it: their mean square [px].
     fit, heldout : Refit or None
         The images that took part and those that did not.
     scenario : Scenario
@@ -136,7 +143,8 @@ def read_centroids(path: str | Path, epoch_utc: str) -> Plates:
     ----------
     path : path
         CSV with a head: ``image``, ``u``, ``v`` [raster px], ``catalog_id`` (Hipparcos), and
-        optionally ``split``, ``fit`` or ``heldout``, the same for all stars of an image.
+        optionally ``split``, ``fit`` or ``heldout``, the same for all stars of an image, and
+        ``sigma`` of a centroid, right but for a factor that all share [px].
     epoch_utc : str
         Time of the images, for the proper motions, ISO 8601.
 
@@ -145,7 +153,7 @@ def read_centroids(path: str | Path, epoch_utc: str) -> Plates:
     ConfigError
         Where a column is missing or a row is not what it should be.
     """
-    rows: dict[str, list[tuple[float, float, int]]] = {}
+    rows: dict[str, list[tuple[float, float, int, float]]] = {}
     splits: dict[str, str] = {}
     with Path(path).open(newline='', encoding='utf-8') as stream:
         table = csv.DictReader(stream)
@@ -156,31 +164,58 @@ def read_centroids(path: str | Path, epoch_utc: str) -> Plates:
         for row in table:
             image, split = row['image'], row.get('split') or 'fit'
             try:
-                star = float(row['u']), float(row['v']), int(row['catalog_id'])
+                star = (float(row['u']), float(row['v']), int(row['catalog_id']),
+                        float(row.get('sigma') or 0.0))
             except (TypeError, ValueError):
                 raise ConfigError(
                     f'{path}, line {table.line_num}: got {row["u"]!r}, {row["v"]!r}, '
-                    f'{row["catalog_id"]!r}, needs two numbers and a Hipparcos number') from None
+                    f'{row["catalog_id"]!r}, needs two numbers and a Hipparcos number (and a '
+                    'number for sigma)') from None
             if split not in ('fit', 'heldout') or splits.setdefault(image, split) != split:
                 raise ConfigError(f'{path}, line {table.line_num}: got split {split!r}, needs fit '
                                   'or heldout, the same for all stars of an image')
             rows.setdefault(image, []).append(star)
     return plates(list(rows), [np.array(stars)[:, :2] for stars in rows.values()],
                   [np.array(stars)[:, 2] for stars in rows.values()],
-                  [splits[image] == 'heldout' for image in rows], epoch_utc)
+                  [splits[image] == 'heldout' for image in rows], epoch_utc,
+                  [np.array(stars)[:, 3] for stars in rows.values()])
 
 
-def plates(names: list[str], uv_raster: list[Array], catalog_id: list[Array],
-           heldout: list[bool], epoch_utc: str) -> Plates:
-    """Return images as frames, one second after the other from an epoch on."""
+def plates(names: list[str], uv_raster: list[Array], catalog_id: list[NDArray[Any]],
+           heldout: list[bool], epoch_utc: str, sigma: list[Array] | None = None,
+           stamp_ns: list[int | None] | None = None) -> Plates:
+    """Return images as frames, in the order of their times.
+
+    Parameters
+    ----------
+    names : list of str
+    uv_raster : list of (n, 2) arrays
+        Centroids of each image [px].
+    catalog_id : list of (n,) arrays
+        Hipparcos numbers.
+    heldout : list of bool
+    epoch_utc : str
+        Time of images without one, ISO 8601.
+    sigma : list of (n,) arrays, optional
+        Standard deviation of each centroid, right but for a factor that all share [px].
+    stamp_ns : list of int or None, optional
+        Time of each image, UTC since the Unix epoch.
+    """
     counts = [len(stars) for stars in uv_raster]
-    total = sum(counts)
+    total, step = sum(counts), np.arange(len(names))
+    stamps = unix_ns(epoch_utc) + _STEP_NS * step
+    for k, own in enumerate(stamp_ns or ()):
+        stamps[k] = stamps[k] if own is None else own
     frames = Frames(
-        unix_ns(epoch_utc) + _SECOND_NS * np.arange(len(names)),
-        np.concatenate(([0], np.cumsum(counts, dtype=np.int64))),
-        np.concatenate([np.empty((0, 2)), *uv_raster]), np.zeros(total), np.full(total, np.nan),
-        np.concatenate([np.empty(0), *catalog_id]).astype(np.int64))
-    return Plates(tuple(names), frames, np.array(heldout, bool))
+        stamps, np.concatenate(([0], np.cumsum(counts, dtype=np.int64))),
+        np.concatenate([np.empty((0, 2)), *uv_raster]),
+        np.zeros(total) if sigma is None else np.concatenate([np.empty(0), *sigma]),
+        np.full(total, np.nan), np.concatenate([np.empty(0), *catalog_id]).astype(np.int64))
+    order = np.argsort(stamps, kind='stable')
+    frames = frames.take(order)
+    later = np.maximum.accumulate(frames.stamp_ns - step) + step    # no two at the same time
+    return Plates(tuple(names[k] for k in order), replace(frames, stamp_ns=later),
+                  np.array(heldout, bool)[order])
 
 
 def scenario_of(width: int, height: int, focal_length_px: float, method: str,
@@ -229,15 +264,24 @@ def focal_length_px(images: Plates, width: int, height: int) -> float:
     return float(np.median(length[angle > 0.0] / angle[angle > 0.0]))
 
 
-def calibrate(images: Plates, scenario: Scenario) -> PlateCamera | None:
+def calibrate(images: Plates, scenario: Scenario, site: Site | None = None
+              ) -> PlateCamera | None:
     """Calibrate the camera of some plates by the method ``intrinsics.method``.
 
     The size of the residuals is not known beforehand: the method runs again with what it was.
     None where the method has nothing to say.
+
+    Parameters
+    ----------
+    images : Plates
+    scenario : Scenario
+        What is known of the camera, the method.
+    site : Site, optional
+        Where the images were taken, to free them of refraction.
     """
-    fitted, held = (images.which(part) for part in (~images.heldout, images.heldout))
-    result = None
-    for _ in range(2):
+    measured, result = images.frames, None
+    for _ in range(_ROUNDS if site is None else _ROUNDS_IN_AIR):
+        fitted, held = (images.which(part) for part in (~images.heldout, images.heldout))
         method = calibration.start(scenario)
         method.add_frames(fitted.frames)
         estimate = method.estimate()
@@ -248,9 +292,20 @@ def calibrate(images: Plates, scenario: Scenario) -> PlateCamera | None:
         adjusted = fit.adjusted
         freedom = (2 * adjusted.used.sum() - 3 * len(adjusted.C_si)
                    - np.count_nonzero(estimate.sigma))
-        sigma = float(np.sqrt(np.sum(adjusted.residual[adjusted.used]**2) / max(freedom, 1)))
+        residual, stated = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
+        sigma = float(np.sqrt(np.sum(residual**2) / max(freedom, 1)))
         result = PlateCamera(estimate, sigma, fit, refit(held, estimate, scenario), scenario)
-        scenario = scenario.replace({'star_tracker.centroid_sigma_px': max(sigma, 1e-4)})
+        scale = float(np.sqrt(np.sum((residual / stated[:, None])**2) / max(freedom, 1)))
+        known = measured.sigma > 0.0
+        measured = replace(measured, sigma=np.where(
+            known, np.maximum(scale * measured.sigma, _LEAST_SIGMA_PX), 0.0))
+        freed = replace(images.frames, sigma=measured.sigma)
+        if site is not None and (every := refit(images, estimate, scenario)) is not None:
+            freed = without_air(measured, freed, every.adjusted.C_si, estimate.intrinsics,
+                                scenario, site)
+        images = replace(images, frames=freed)
+        scenario = scenario.replace({'star_tracker.centroid_sigma_px': max(
+            scale * scenario.star_tracker.centroid_sigma_px, _LEAST_SIGMA_PX)})
     return result
 
 

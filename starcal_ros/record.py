@@ -3,8 +3,9 @@
 """Recordings read as arrays: the gyro samples and star frames of a bag, and what else is in it.
 
 Any rosbag2 directory or single MCAP file with the two sensor topics can be read, whoever wrote
-it. Samples and frames come in the order in which they were recorded, just as a live node would
-have received them; nothing is sorted by stamp, thinned or repaired.
+it; frames may come from images instead, by a function that measures them. Samples and frames
+come in the order in which they were recorded, just as a live node would have received them;
+nothing is sorted by stamp, thinned or repaired.
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.bag import Bag, Topic, open_bag
-from starcal_ros.cdr import IMU_TYPE, RecordError, decode_imu
+from starcal_ros.cdr import IMU_TYPE, Messages, RecordError, decode_imu
 from starcal_ros.cdr_cloud import CLOUD_TYPE, decode_centroids
+from starcal_ros.cdr_image import IMAGE_TYPE
 from starcal_ros.measurements import Frames, GyroSamples
 
 GYRO_TOPIC = '/imu/data_raw'
 FRAMES_TOPIC = '/star_tracker/centroids'
+IMAGES_TOPIC = '/star_tracker/image_raw'
 CONFIG_ATTACHMENT, TRUTH_ATTACHMENT = 'config.yaml', 'truth.json'
 
 _HASH_BYTES = 1 << 20
@@ -42,7 +45,7 @@ class Recording:
     attachments : dict of bytes
         Attached files by name (configuration, truth).
     gyro_topic, frames_topic : str
-        The topics they were read from; '' where there is no gyro.
+        The topics they were read from, images where these were measured; '' for no gyro.
     path : Path
         The recording.
     sha256 : str
@@ -100,11 +103,13 @@ class Summary:
 
 
 def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
-         needs_gyro: bool = True) -> Recording:
+         needs_gyro: bool = True, measure: Callable[[Messages], Frames] | None = None,
+         images_first: bool = False) -> Recording:
     """Read the gyro samples and star frames of a recording.
 
     The topics are ``/imu/data_raw`` and ``/star_tracker/centroids``, or else the only ones that
-    end so (in a namespace).
+    end so (in a namespace). Where there are no centroids but images, ``/star_tracker/image_raw``,
+    these are measured, if a function for it is given.
 
     Parameters
     ----------
@@ -114,6 +119,10 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
         Called with the part that has been read, 0 to 1.
     needs_gyro : bool
         Refuse a recording without gyro readings.
+    measure : callable, optional
+        Takes sensor_msgs/Image in CDR and returns their star frames, one a message.
+    images_first : bool
+        Measure the images even where there are centroids.
 
     Raises
     ------
@@ -127,14 +136,14 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     has_gyro = any(topic.name.endswith(GYRO_TOPIC) for topic in topics)
     gyro_topic = (_choose(topics, GYRO_TOPIC, IMU_TYPE, path) if needs_gyro or has_gyro
                   else None)
-    frames_topic = _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path)
+    frames_topic, decode = _frames_topic(topics, path, measure, images_first)
     chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
     times: dict[str, list[NDArray[np.int64]]] = {topic.name: [] for topic in chosen}
     gyro_parts, frames_parts = [], []
     for name, log_time, messages, done in bag.messages(times):
         try:
             if name == frames_topic.name:
-                frames_parts.append(decode_centroids(messages))
+                frames_parts.append(decode(messages))
             else:
                 gyro_parts.append(decode_imu(messages))
         except RecordError as error:
@@ -178,6 +187,17 @@ def summary(path: str | Path) -> Summary:
     return Summary(tuple(rows), {name: len(data) for name, data in bag.attachments.items()},
                    (max(spans) - min(spans)) / 1e9 if spans else 0.0,
                    sum(file.stat().st_size for file in bag.files), bag.warnings)
+
+
+def _frames_topic(topics: list[Topic], path: Path, measure: Callable[[Messages], Frames] | None,
+                  images_first: bool) -> tuple[Topic, Callable[[Messages], Frames]]:
+    """Find the topic of the star frames, and what makes frames of its messages."""
+    def there(wanted: str) -> bool:
+        return any(topic.name.endswith(wanted) for topic in topics)
+
+    if measure is not None and (images_first or there(IMAGES_TOPIC) and not there(FRAMES_TOPIC)):
+        return _choose(topics, IMAGES_TOPIC, IMAGE_TYPE, path), measure
+    return _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path), decode_centroids
 
 
 def _choose(topics: list[Topic], wanted: str, wanted_type: str, path: Path) -> Topic:

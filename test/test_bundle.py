@@ -218,3 +218,22 @@ def test_spots_that_no_camera_fits_give_none_and_it_is_said(nameless):
     method = calibration.start(scenario)
     method.add_frames(replace(frames, uv_raster=uv)[:40])
     assert method.estimate() is None
+
+
+def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
+    rng = np.random.default_rng(9)
+    spots, C_si, u, star = scene(rng, 12, 60)
+    nameless, seen = without_places(spots, star)
+    problem = bundle._Problem(nameless, START, PITCH, WIDE)
+    state = bundle._State(START, C_si, u[seen])
+    lost = nameless.point == 5
+    normal = problem.normal(state, np.where(lost, 0.0, 1.0 / SIGMA), problem.residual(state))
+    step = normal.solve()
+    assert not step.point[5].any() and np.isfinite(step.camera).all()
+    without = nameless._replace(point=np.where(nameless.point > 5, nameless.point - 1,
+                                               nameless.point))
+    without = Spots(*(part[~lost] for part in without))
+    other = bundle._Problem(without, START, PITCH, WIDE).normal(
+        state._replace(points=np.delete(state.points, 5, axis=0)),
+        np.full((~lost).sum(), 1.0 / SIGMA))
+    np.testing.assert_allclose(normal.camera_covariance(), other.camera_covariance(), rtol=1e-6)

@@ -127,3 +127,68 @@ def test_a_folder_without_images_is_named(tmp_path):
         image_files(tmp_path)
     with pytest.raises(ImageFileError, match='a folder of images expected'):
         image_files(tmp_path / 'missing')
+
+
+def taken(path, counts=RAMP.astype(np.uint8), **header):
+    """Return when a FITS image with some header was taken."""
+    unit = fits.PrimaryHDU(counts)
+    for key, value in header.items():
+        unit.header[key.replace('_', '-')] = value
+    unit.writeto(path / 'a.fits', overwrite=True)
+    return load(path / 'a.fits').taken
+
+
+@pytest.mark.parametrize('header, expected', [
+    ({}, None),
+    ({'DATE_OBS': '2026-07-02T12:00:00'}, '2026-07-02T12:00:00+00:00'),
+    ({'DATE_OBS': '2026-07-02T12:00:00.25', 'EXPTIME': 3.0}, '2026-07-02T12:00:01.750000+00:00'),
+    ({'DATE_OBS': '2026-07-02', 'TIME_OBS': '12:00:00.5'}, '2026-07-02T12:00:00.500000+00:00'),
+    ({'DATE_OBS': '2026-07-02T12:00:00', 'DATE_AVG': '2026-07-02T12:00:09'},
+     '2026-07-02T12:00:09+00:00'),
+    ({'DATE_OBS': '2026-07-02T12:00:00', 'EXPTIME': 'long'}, '2026-07-02T12:00:00+00:00'),
+    ({'DATE_OBS': '2026-07-02'}, '2026-07-02T00:00:00'),
+    ({'DATE_OBS': '2026-07-02T12:00:00', 'TIMESYS': 'TAI'}, None),
+    ({'DATE_OBS': 'yesterday'}, None),
+    ({'DATE_OBS': 5}, None),
+])
+def test_fits_says_when_it_was_taken(tmp_path, header, expected):
+    when = taken(tmp_path, **header)
+    assert (when and when.isoformat()) == expected
+
+
+@pytest.mark.parametrize('original, gps, expected', [
+    ({}, {}, None),
+    ({36867: '2026:07:02 14:00:00', 36881: '+02:00'}, {}, '2026-07-02T12:00:00+00:00'),
+    ({36867: '2026:07:02 14:00:00', 36881: '+02:00', 37521: '25'}, {},
+     '2026-07-02T12:00:00.250000+00:00'),
+    ({36867: '2026:07:02 14:00:00'}, {}, '2026-07-02T14:00:00'),
+    ({36867: '2026:07:02 14:00:00'}, {29: '2026:07:02', 7: (12.0, 0.0, 0.5)},
+     '2026-07-02T12:00:00.500000+00:00'),
+    ({36867: '0000:00:00 00:00:00', 36881: '?'}, {29: 'x', 7: (1.0, 2.0)}, None),
+])
+def test_exif_says_when_it_was_taken(tmp_path, original, gps, expected):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update(original)
+    exif.get_ifd(0x8825).update(gps)
+    Image.fromarray(RAMP.astype(np.uint8)).save(tmp_path / 'a.jpg', exif=exif)
+    when = load(tmp_path / 'a.jpg').taken
+    assert (when and when.isoformat()) == expected
+
+
+@pytest.mark.parametrize('card, damaged', [
+    (b'NAXIS1  =                   60', b'NAXIS1  =                  999'),
+    (b'NAXIS2  =', b'NAXIX2  ='), (b'BITPIX  =                   16', b'BITPIX  = ?')])
+def test_a_damaged_header_of_fits_is_named(tmp_path, card, damaged):
+    fits.PrimaryHDU((RAMP * 27).astype(np.int16)).writeto(tmp_path / 'a.fits')
+    data = (tmp_path / 'a.fits').read_bytes()
+    assert card in data
+    (tmp_path / 'a.fits').write_bytes(data.replace(card, damaged.ljust(len(card))))
+    refused(tmp_path / 'a.fits')
+
+
+def test_an_image_of_which_only_the_time_is_damaged_is_read(tmp_path):
+    assert taken(tmp_path, DATE_OBS='2026-07-02T12:00:00') is not None
+    data = (tmp_path / 'a.fits').read_bytes()
+    (tmp_path / 'a.fits').write_bytes(data.replace(b"= '2026-07-02T", b'= ?2026-07-02T'))
+    picture = load(tmp_path / 'a.fits')
+    assert picture.taken is None and picture.counts.shape == RAMP.shape

@@ -72,7 +72,7 @@ def test_calibrate_refuses_a_recording_without_gyro(bag):
     (['--singular-values', '4'], 'intrinsics.singular_values: got 4'),
     (['--combination-model', '5'], 'intrinsics.combination_model: got 5'),
     (['--method', 'guess'], "got 'guess', allowed are"),
-    (['--report', 'x.html'], '--report: is for images'),
+    (['--report', 'x.html'], '--report: is for still images'),
 ])
 def test_wrong_options_are_named(words, culprit, bag, capsys):
     assert main(['intrinsics', str(bag), *words]) == 2

@@ -158,7 +158,7 @@ def test_wrong_tables_are_named(text, culprit, tmp_path):
 
 
 @pytest.mark.parametrize('words, status, culprit', [
-    ([], 2, 'either BAG or --centroids'),
+    ([], 2, 'a recording, a folder of images, or --centroids'),
     (['--centroids', 'stars.csv'], 2, '--width and --height'),
     (['--centroids', 'stars.csv', '--width', '9', '--height', '900'], 2, 'camera.width: got 9'),
     (['--centroids', 'none.csv', '--width', '900', '--height', '900'], 2, 'none.csv'),

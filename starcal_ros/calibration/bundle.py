@@ -55,9 +55,15 @@ class Bundle:
         Nominal camera, observer, initial sigmas, gate.
     known : CameraEstimate, optional
         In place of the nominal camera, from other frames.
+
+    Attributes
+    ----------
+    misfit : float
+        Size of the residuals over what the sigmas promise, of the last estimate.
     """
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
+        self.misfit = np.inf
         self._prior = beginning(scenario, known)
         self._scenario = with_camera(scenario, self._prior.intrinsics)
         self._pitch_mm = scenario.camera.pixel_pitch_mm
@@ -102,6 +108,7 @@ class Bundle:
             self._notice('lost', f'{len(start_.spots.frame)} spots do not fit a camera that is '
                          'anything like the nominal one')
             return None
+        self.misfit = adjusted.scale
         used = int(adjusted.used.sum())
         if used < len(adjusted.used):
             self._notice('refused', f'{len(adjusted.used) - used} of {len(adjusted.used)} stars '

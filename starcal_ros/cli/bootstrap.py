@@ -16,13 +16,17 @@ SUMMARY = 'calibrate without knowing camera or stars'
 DESCRIPTION = ('Calibrate a recording of which only the focal length is known, to a tenth, and no '
                'star by its number (numbers in the recording are ignored): self-calibration, '
                'identification, angular distances, the 16-state filter, each from what the last '
-               'one found, on frames of its own. Needs the extra identify.')
+               'one found, on frames of its own. Where there are images and no centroids, the '
+               'stars are measured in them. Needs the extra identify.')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
     arguments.add_config(parser)
+    parser.add_argument('--images', action='store_true',
+                        help='measure the stars in star_tracker/image_raw even where the '
+                        'recording has centroids')
     parser.add_argument('--out', metavar='RESULT.json',
                         help='the result of the filter, with the camera after each step')
 
@@ -36,8 +40,10 @@ def run(options: argparse.Namespace) -> int:
     from starcal_ros import record, report, result
     try:
         from starcal_ros.bootstrap import bootstrap
+        from starcal_ros.imaging.recorded import measure
         with progress('reading') as on_progress:
-            recording = record.read(options.bag, on_progress)
+            recording = record.read(options.bag, on_progress, measure=measure(scenario),
+                                    images_first=options.images)
         with progress('bootstrap') as on_progress:
             chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
     except ImportError as error:

@@ -9,13 +9,17 @@ ROWORDER of TOP-DOWN.
 
 from __future__ import annotations
 
+from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+
+from starcal_ros.imaging import image_time
 
 FITS_SUFFIXES = ('.fits', '.fit', '.fts')
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', *FITS_SUFFIXES)
@@ -36,10 +40,13 @@ class Picture(NamedTuple):
         Top row first.
     saturation : float
         Counts from which a pixel is saturated; infinite where the file does not tell.
+    taken : datetime or None
+        When, as `image_time` has it; None where the file does not tell.
     """
 
     counts: NDArray[np.float32]
     saturation: float
+    taken: datetime | None = None
 
 
 def image_files(folder: str | PathLike[str]) -> list[Path]:
@@ -70,9 +77,10 @@ def load(path: str | PathLike[str]) -> Picture:
     path = Path(path)
     is_fits = path.suffix.lower() in FITS_SUFFIXES
     try:
-        pixels, saturation = _read_fits(path) if is_fits else _read_picture(path)
-    except (OSError, ValueError, SyntaxError) as error:     # what Pillow and astropy raise
-        raise ImageFileError(f'{path}: {error}') from None
+        pixels, saturation, taken = _read_fits(path) if is_fits else _read_picture(path)
+    # What Pillow raises, and what `_read_fits` makes of astropy's.
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ImageFileError(f'{path}: {" ".join(str(error).split())}') from None
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     if pixels.ndim not in (2, 3) or channels > 4 or not pixels.size:
         raise ImageFileError(f'{path}: pixels of shape {pixels.shape}; one image expected, '
@@ -84,33 +92,40 @@ def load(path: str | PathLike[str]) -> Picture:
         counts = counts[..., 0]
     if not np.isfinite(counts).all():
         raise ImageFileError(f'{path}: {np.sum(~np.isfinite(counts))} pixels are not numbers')
-    return Picture(counts, saturation)
+    return Picture(counts, saturation, taken)
 
 
-def _read_picture(path: Path) -> tuple[NDArray[Any], float]:
+def _read_picture(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
     with Image.open(path) as picture:
         coded = picture.mode in ('P', 'CMYK', 'YCbCr', 'LAB', 'HSV')
         pixels = np.asarray(picture.convert('RGB') if coded else picture)
+        taken = image_time.of_exif(picture.getexif())
         if picture.mode == 'I':             # Pillow reads 16 bits of some formats into 32
-            return pixels, 65535.0
-    return pixels, top(pixels.dtype)
+            return pixels, 65535.0, taken
+    return pixels, top(pixels.dtype), taken
 
 
-def _read_fits(path: Path) -> tuple[NDArray[Any], float]:
+def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
     from astropy.io import fits     # here, because it takes a quarter of a second
-    with fits.open(path) as units:
-        for unit in units:
-            if unit.is_image and unit.data is not None:
-                header, pixels = unit.header, np.array(unit.data)
-                break
-        else:
-            raise ValueError('no image in it')
-    saturation = float(header.get('SATURATE', top(pixels.dtype)))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')         # what matters is raised
+            with fits.open(path) as units:
+                for unit in units:
+                    if unit.is_image and unit.data is not None:
+                        header, pixels = unit.header, np.array(unit.data)
+                        break
+                else:
+                    raise ValueError('no image in it')
+        saturation = float(header.get('SATURATE', top(pixels.dtype)))
+        order = str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper()
+    except (TypeError, LookupError, fits.VerifyError) as error:
+        raise ValueError(f'damaged: {type(error).__name__} {error}') from None
     if pixels.ndim == 3:
         pixels = np.moveaxis(pixels, 0, -1)     # planes of colour
-    if str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper() != 'TOP-DOWN':
+    if order != 'TOP-DOWN':
         pixels = pixels[::-1]
-    return pixels, saturation
+    return pixels, saturation, image_time.of_fits(header)
 
 
 def grey(colour: NDArray[np.float32], saturation: float) -> NDArray[np.float32]:

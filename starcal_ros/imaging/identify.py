@@ -25,6 +25,7 @@ from starcal_ros.imaging.camera_guess import CameraGuess
 from starcal_ros.imaging.matching import (RAYLEIGH_MEDIAN, Expected, View, chance, expected,
                                           fitted, match)
 from starcal_ros.imaging.star_field import StarField
+from starcal_ros.refraction import Site
 from starcal_ros.sky import Observer
 
 Array = NDArray[np.float64]
@@ -94,13 +95,15 @@ class Identifier:
         Error of a turn that is given with a frame, each axis [rad].
     acceleration_sigma : float
         Change of the rate from frame to frame where no turn is given, each axis [rad/s^2].
+    site : Site, optional
+        Where the camera looks through the air, for frames whose time is known.
     """
 
     def __init__(self, guess: CameraGuess, observer: Observer = Observer(),
                  limiting_magnitude: float = SHIPPED_LIMIT, turn_sigma: float = 5e-4,
-                 acceleration_sigma: float = 5e-3) -> None:
+                 acceleration_sigma: float = 5e-3, site: Site | None = None) -> None:
         self._guess = guess
-        self._sky = StarField(observer, limiting_magnitude)
+        self._sky = StarField(observer, limiting_magnitude, site)
         self._limiting_magnitude = limiting_magnitude
         self._turn_sigma, self._acceleration_sigma = turn_sigma, acceleration_sigma
         self._drift = _CAMERA_DRIFT * View.around(

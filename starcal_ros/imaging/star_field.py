@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from starcal_ros import camera, catalog, sky
 from starcal_ros.camera import Detector
+from starcal_ros.refraction import Site, refracted
 from starcal_ros.sky import Observer
 from starcal_ros.utc import unix_ns
 
@@ -50,9 +51,13 @@ class StarField:
         parallax and aberration, which would shift a field by 20" and scale it by 1e-4 at most.
     limiting_magnitude : float
         Faintest star, Hp.
+    site : Site, optional
+        On the ground, where the time is known: places are those through the air.
     """
 
-    def __init__(self, observer: Observer, limiting_magnitude: float) -> None:
+    def __init__(self, observer: Observer, limiting_magnitude: float,
+                 site: Site | None = None) -> None:
+        self._site = site
         self._stars = catalog.load(limiting_magnitude)
         self._observer = observer
         self._timeless = dataclasses.replace(observer, velocity='barycentre')
@@ -77,4 +82,7 @@ class StarField:
     def _places(self, row: NDArray[np.int64], stamp_ns: int | None) -> Array:
         when, who = ((_TIMELESS_NS, self._timeless) if stamp_ns is None
                      else (stamp_ns, self._observer))
-        return sky.apparent_places(self._stars, row, [when], [len(row)], who)
+        places = sky.apparent_places(self._stars, row, [when], [len(row)], who)
+        if self._site is None or stamp_ns is None:
+            return places
+        return refracted(places, np.full(len(row), stamp_ns), self._site)

@@ -29,13 +29,13 @@ def write_plate_page(path: str | Path, found: PlateCamera, outcome: dict[str, An
         HTML file.
     found : PlateCamera
     outcome : dict
-        Its result as written, with ``method`` and ``source``.
+        Its result as written, with ``method``, ``source`` and, by name, ``left_out`` images.
     notices : list of str
         What a user should know.
     """
     Path(path).write_text(document(
-        f'Camera of {outcome["source"]}', _camera(outcome), *_images(found), _distortion(found),
-        _coupling(outcome), section(
+        f'Camera of {outcome["source"]}', _camera(outcome), *_images(found),
+        *_left_out(outcome), _distortion(found), _coupling(outcome), section(
             'notices', 'Notices', items(notices) if notices else paragraph('No notices.'),
             '<details><summary>Configuration</summary><pre>'
             f'{escape(parameter_file.dump(found.scenario))}</pre></details>')), encoding='utf-8')
@@ -60,11 +60,18 @@ def _images(found: PlateCamera) -> list[str]:
     return sections
 
 
+def _left_out(outcome: dict[str, Any]) -> list[str]:
+    reasons = outcome.get('left_out')
+    return [section('left-out', 'Images left out',
+                    table(['image', 'reason'], [list(item) for item in reasons.items()]))
+            ] if reasons else []
+
+
 def _residuals(name: str, title: str, refit: Refit, found: PlateCamera) -> str:
     spots, adjusted = refit.spots, refit.adjusted
     pixels = detector(found.scenario.camera)
     stars = Residuals(spots.uv + pixels.centre_raster, adjusted.residual, adjusted.used,
-                      np.full(len(spots.frame), found.sigma_px))
+                      spots.sigma)
     rows = []
     for k, image in enumerate(refit.names):
         mine = adjusted.used & (spots.frame == k)

@@ -1,0 +1,126 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings that hold images and no centroids: read, and calibrated from nothing else."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from starcal_ros import catalog, parameter_file, record
+from starcal_ros.camera import INTRINSICS_KEYS
+from starcal_ros.cdr import RecordError
+from starcal_ros.cdr_image import IMAGE_TYPE, encode_image
+from starcal_ros.cli import main
+from starcal_ros.config import Scenario
+from starcal_ros.config_image import ImageConfig
+from starcal_ros.imaging.recorded import measure
+from starcal_ros.record_writer import Writer, imu_batch
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.render import ImageSimulator
+from starcal_ros.simulation.truth import Truth
+
+# T18's field and lens on few, large pixels, hardly at rest; the focal length believed 10 % less.
+SCENARIO = Scenario().replace({
+    'simulation.duration_s': 150.0, 'camera.width': 384, 'camera.height': 384,
+    'camera.pixel_pitch_mm': 0.0172, 'camera.focal_length_mm': 23.04,
+    'truth.camera.focal_length_mm': 25.6, 'truth.camera.principal_point_px': (3.0, -2.0),
+    'truth.camera.distortion': (2e-4, -1e-6, 2e-5, 2e-5),
+    'truth.gyro.bias_deg_h': (0.01, -0.02, 0.015), 'motion.dwell_s': 5.0})
+TRUTH = Truth.from_scenario(SCENARIO)
+
+
+def record_images(path, frames=None):
+    """Write gyro readings and so many images, or all."""
+    config = ImageConfig(limiting_magnitude=6.6, full_well_electrons=6e4)
+    images = ImageSimulator(SCENARIO, config, TRUTH, catalog.load(config.limiting_magnitude),
+                            np.random.default_rng(1))
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    with Writer(path) as writer:
+        writer.attach(record.TRUTH_ATTACHMENT, json.dumps(TRUTH.as_dict()).encode(),
+                      'application/json')
+        writer.write_batches(imu_batch('/imu/data_raw', gyro.next(gyro.count), 'gyro',
+                                       gyro.rate_variance))
+        for stamp_ns in tracker.next(frames or tracker.count).stamp_ns.tolist():
+            writer.write('/star_tracker/image_raw', IMAGE_TYPE,
+                         encode_image(stamp_ns, images.image(stamp_ns)), stamp_ns)
+    return path
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return ten images."""
+    return record_images(tmp_path_factory.mktemp('bag') / 'images.mcap', 10)
+
+
+def test_frames_are_those_of_the_images(bag):
+    with pytest.raises(RecordError, match='no topic /star_tracker/centroids'):
+        record.read(bag)
+    recording = record.read(bag, measure=measure(SCENARIO))
+    frames = recording.frames
+    assert recording.frames_topic == '/star_tracker/image_raw' and len(frames) == 10
+    assert (np.diff(frames.stamp_ns) == 500_000_000).all() and not recording.warnings
+    assert frames.star_counts.min() > 20 and not frames.catalog_id.any()
+    assert 0.01 < np.median(frames.sigma) < 0.3
+
+
+def test_images_are_measured_where_there_are_centroids_only_when_asked_for(tmp_path):
+    tracker, eye = sensors.star_tracker(SCENARIO), measure(SCENARIO)
+    path = tmp_path / 'both.mcap'
+    with Writer(path) as writer:
+        writer.write_centroids('/star_tracker/centroids', tracker.next(2))
+        writer.write('/star_tracker/image_raw', IMAGE_TYPE,
+                     encode_image(1_500_000_000, np.full((384, 384), 100, np.uint16)),
+                     1_500_000_000)
+    for first, topic, count in ((False, '/star_tracker/centroids', 2),
+                                (True, '/star_tracker/image_raw', 1)):
+        recording = record.read(path, needs_gyro=False, measure=eye, images_first=first)
+        assert recording.frames_topic == topic and len(recording.frames) == count
+
+
+def test_images_that_are_asked_for_and_missing_are_named(tmp_path, capsys):
+    path = tmp_path / 'stars.mcap'
+    with Writer(path) as writer:
+        writer.write_centroids('/star_tracker/centroids', sensors.star_tracker(SCENARIO).next(2))
+        writer.write_imu('/imu/data_raw', sensors.gyro(SCENARIO).next(2))
+    assert main(['bootstrap', str(path), '--images']) == 2
+    assert 'has no topic /star_tracker/image_raw' in capsys.readouterr().err
+
+
+def test_an_image_that_can_not_be_used_is_named(tmp_path):
+    path = tmp_path / 'odd.mcap'
+    data = encode_image(1, np.zeros((384, 384), np.uint16)).replace(b'mono16', b'yuv422')
+    with Writer(path) as writer:
+        writer.write('/star_tracker/image_raw', IMAGE_TYPE, data, 1)
+    with pytest.raises(RecordError, match="image_raw: unsupported encoding: 'yuv422'"):
+        record.read(path, needs_gyro=False, measure=measure(SCENARIO))
+
+
+def test_images_of_another_size_than_the_camera_are_named(bag, capsys):
+    assert main(['bootstrap', str(bag)]) == 2
+    assert ('384 x 384 pixels, the camera has 1024 x 1024 (camera.width, camera.height)'
+            in capsys.readouterr().err)
+
+
+def test_bootstrap_from_images_alone(tmp_path, capsys):
+    """A focal length that is 10 % wrong, no name of a star, no centroid: to the 16 states."""
+    pytest.importorskip('tetra3rs')
+    out, config = tmp_path / 'result.json', tmp_path / 'config.yaml'
+    bag = record_images(tmp_path / 'images.mcap')
+    config.write_text(parameter_file.dump(SCENARIO))
+    assert main(['bootstrap', str(bag), '--config', str(config), '--out', str(out)]) == 0
+    steps = {step['step']: step for step in json.loads(out.read_text())['steps']}
+    assert list(steps)[-3:] == ['bundle of the spots', 'angular distances', '16 states']
+    for name, step in steps.items():
+        error = np.array([step['intrinsics'][key] for key in INTRINSICS_KEYS]) - TRUTH.intrinsics
+        assert error @ np.linalg.solve(step['covariance'], error) < chi2.ppf(0.9999, 7), name
+    assert steps['16 states']['intrinsics_sigma']['f_mm'] < 1e-3
+    assert 'spots identified' in capsys.readouterr().out
+
+
+def test_intrinsics_reads_images_too(bag, tmp_path, capsys):
+    config = tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(SCENARIO))
+    assert main(['intrinsics', str(bag), '--config', str(config), '--method', 'interstar']) == 1
+    assert 'no camera from 10 frames with' in capsys.readouterr().err
