@@ -155,7 +155,7 @@ def read_centroids(path: str | Path, epoch_utc: str) -> Plates:
     """
     rows: dict[str, list[tuple[float, float, int, float]]] = {}
     splits: dict[str, str] = {}
-    with Path(path).open(newline='', encoding='utf-8') as stream:
+    with Path(path).open(newline='', encoding='utf-8-sig') as stream:
         table = csv.DictReader(stream)
         missing = [name for name in _COLUMNS if name not in (table.fieldnames or ())]
         if missing:
@@ -238,6 +238,7 @@ def scenario_of(width: int, height: int, focal_length_px: float, method: str,
         'camera.width': width, 'camera.height': height, 'camera.pixel_pitch_mm': PITCH_MM,
         'camera.focal_length_mm': f_mm, 'observer.velocity': velocity,
         'star_tracker.centroid_sigma_px': _SIGMA_PX, 'intrinsics.method': method,
+        'intrinsics.interstar_equations': 'TCOC',      # no two images show the same stars
         'estimator.initial_sigma.principal_point_px': 0.2 * width,
         'estimator.initial_sigma.focal_length_mm': 0.2 * f_mm,
         'estimator.initial_sigma.k1': 1.0 / f_mm**2, 'estimator.initial_sigma.k2': 10.0 / f_mm**4,

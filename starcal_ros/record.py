@@ -29,6 +29,7 @@ FRAMES_TOPIC = '/star_tracker/centroids'
 IMAGES_TOPIC = '/star_tracker/image_raw'
 CONFIG_ATTACHMENT, TRUTH_ATTACHMENT = 'config.yaml', 'truth.json'
 
+_NOT_OF_SENSORS = ('/starcal/imu', '/starcal/residuals', '/star_tracker/spots', '/truth/centroids')
 _HASH_BYTES = 1 << 20
 
 
@@ -108,8 +109,9 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     """Read the gyro samples and star frames of a recording.
 
     The topics are ``/imu/data_raw`` and ``/star_tracker/centroids``, or else the only ones that
-    end so (in a namespace). Where there are no centroids but images, ``/star_tracker/image_raw``,
-    these are measured, if a function for it is given.
+    end so (in a namespace), or else the only ones of their type (remapped), which a warning names.
+    Where there are no centroids but images, ``/star_tracker/image_raw``, these are measured, if a
+    function for it is given.
 
     Parameters
     ----------
@@ -133,7 +135,7 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     path = Path(path)
     bag = open_bag(path)
     topics = bag.topics()
-    has_gyro = any(topic.name.endswith(GYRO_TOPIC) for topic in topics)
+    has_gyro = bool(_candidates(topics, GYRO_TOPIC, IMU_TYPE))
     gyro_topic = (_choose(topics, GYRO_TOPIC, IMU_TYPE, path) if needs_gyro or has_gyro
                   else None)
     frames_topic, decode = _frames_topic(topics, path, measure, images_first)
@@ -153,13 +155,17 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
             on_progress(done)
     gyro, frames = GyroSamples.concatenate(gyro_parts), Frames.concatenate(frames_parts)
     read_ = (len(gyro), len(frames))[-len(chosen):]
+    wanted = (*([GYRO_TOPIC] if gyro_topic else []),
+              IMAGES_TOPIC if decode is measure else FRAMES_TOPIC)
+    elsewhere = [f'{topic.name} is taken for {name}' for topic, name in zip(chosen, wanted)
+                 if not topic.name.endswith(name)]
     lost = [f'{count} of {topic.count} messages on {topic.name} could be read'
             for topic, count in zip(chosen, read_) if count != topic.count]
     recording = Recording(
         gyro if gyro_topic is None else _arrange_gyro(gyro, times[gyro_topic.name]),
         _arrange_frames(frames, times[frames_topic.name]), bag.attachments,
         gyro_topic.name if gyro_topic else '', frames_topic.name, path, _sha256(bag),
-        (*bag.warnings, *lost))
+        (*bag.warnings, *elsewhere, *lost))
     if on_progress:
         on_progress(1.0)
     return recording
@@ -192,18 +198,26 @@ def summary(path: str | Path) -> Summary:
 def _frames_topic(topics: list[Topic], path: Path, measure: Callable[[Messages], Frames] | None,
                   images_first: bool) -> tuple[Topic, Callable[[Messages], Frames]]:
     """Find the topic of the star frames, and what makes frames of its messages."""
-    def there(wanted: str) -> bool:
-        return any(topic.name.endswith(wanted) for topic in topics)
-
-    if measure is not None and (images_first or there(IMAGES_TOPIC) and not there(FRAMES_TOPIC)):
+    stars = _candidates(topics, FRAMES_TOPIC, CLOUD_TYPE)
+    images = _candidates(topics, IMAGES_TOPIC, IMAGE_TYPE)
+    if measure is not None and (images_first or images and (
+            not stars or images[0].name.endswith(IMAGES_TOPIC)
+            and not stars[0].name.endswith(FRAMES_TOPIC))):
         return _choose(topics, IMAGES_TOPIC, IMAGE_TYPE, path), measure
     return _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path), decode_centroids
 
 
+def _candidates(topics: list[Topic], wanted: str, wanted_type: str) -> list[Topic]:
+    """Return the topic of a name, or those that end with it, or those of its type."""
+    return ([topic for topic in topics if topic.name == wanted]
+            or [topic for topic in topics if topic.name.endswith(wanted)]
+            or [topic for topic in topics
+                if topic.type == wanted_type and not topic.name.endswith(_NOT_OF_SENSORS)])
+
+
 def _choose(topics: list[Topic], wanted: str, wanted_type: str, path: Path) -> Topic:
-    """Find the topic of a name, or the only one that ends with it."""
-    found = ([topic for topic in topics if topic.name == wanted]
-             or [topic for topic in topics if topic.name.endswith(wanted)])
+    """Find the only candidate for a topic."""
+    found = _candidates(topics, wanted, wanted_type)
     if len(found) != 1:
         listed = ', '.join(topic.name for topic in found or topics) or 'no topics'
         raise RecordError(f'{path} has several topics {wanted}: {listed}' if found else

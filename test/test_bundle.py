@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from starcal_ros import calibration, camera, parameter_file, rotation
+from starcal_ros import bundle, calibration, camera, parameter_file, rotation
 from starcal_ros.bundle import Spots, adjust
 from starcal_ros.bundle_start import attitudes
 from starcal_ros.calibration import bundle as bundle_method

@@ -72,6 +72,20 @@ def test_the_true_camera_is_found_within_its_sigma(found):
     assert np.sqrt(np.diag(covariance)) == pytest.approx(list(found['sigma'].values()))
 
 
+@pytest.mark.parametrize('method', ['angular_distance', 'singular_value', 'interstar'])
+def test_methods_without_an_attitude_take_a_table_as_a_spreadsheet_writes_it(
+        method, tmp_path, capsys):
+    """Byte order mark and carriage returns."""
+    path, out = write(tmp_path / 'stars.csv', 12), tmp_path / 'camera.json'
+    path.write_bytes(b'\xef\xbb\xbf' + path.read_bytes())
+    assert b'\r\n' in path.read_bytes()
+    assert main(['intrinsics', '--centroids', str(path), '--width', str(WIDTH), '--height',
+                 str(HEIGHT), '--method', method, '--out', str(out)]) == 0
+    camera_ = json.loads(out.read_text())
+    for key in ('f_px', 'u0_px', 'v0_px'):
+        assert abs(camera_[key] - TRUE[key]) < 4.0 * camera_['sigma'][key]
+
+
 def test_residuals_are_the_noise_of_the_centroids(found):
     assert found['centroid_sigma_px'] == pytest.approx(0.1, rel=0.05)
     assert found['fit_rms_px'] == pytest.approx(0.1, rel=0.08)

@@ -374,6 +374,17 @@ def test_the_exact_topic_wins_over_one_in_a_namespace(tmp_path):
     assert_holds_all(read(tmp_path / 'run.mcap'))
 
 
+def test_sensors_of_other_names_are_found_by_their_types_and_named(tmp_path):
+    path = tmp_path / 'run.mcap'
+    with Writer(path) as writer:
+        writer.write_batches(imu_batch('/gyro', GYRO), centroids_batch('/camera/stars', FRAMES),
+                             imu_batch('/sat1/starcal/imu', GYRO[:10]),
+                             centroids_batch('/truth/centroids', FRAMES))
+    recording = read(path)
+    assert_holds_all(recording, ('/gyro is taken for /imu/data_raw',
+                                 '/camera/stars is taken for /star_tracker/centroids'))
+
+
 def test_two_namespaces_are_ambiguous(tmp_path):
     with Writer(tmp_path / 'run.mcap') as writer:
         writer.write_imu('/a/imu/data_raw', GYRO)

@@ -20,7 +20,7 @@ from starcal_ros.refraction import Site
 EPOCH = '2020-01-01T00:00:00'
 """Time of images of which none is known: a few years move no star by a hundredth of a pixel."""
 
-_UNFIT = {'interstar': '; on still images interstar needs --interstar-equations TCOC',
+_UNFIT = {'interstar': '; on still images interstar needs --interstar-equations TCOC or TCWC',
           'predicted_centroid': '; predicted_centroid needs a gyro'}
 _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'stars')

@@ -55,7 +55,7 @@ def calibrate(images: ImageSet, method: str) -> PlateCamera | None:
     table = real_images.stars(images)
     f_px = plates.focal_length_px(table, images.width, images.height)
     scenario = plates.scenario_of(images.width, images.height, f_px, method)
-    return plates.calibrate(table, scenario.replace({'intrinsics.interstar_equations': 'TCOC'}))
+    return plates.calibrate(table, scenario)
 
 
 def _row(images: ImageSet, method: str, found: PlateCamera) -> tuple[str | float, ...]:
