@@ -47,3 +47,15 @@ def start_once(tmp_path_factory):
     """Return the same for nodes that all tests of a module share."""
     with _nodes(tmp_path_factory.mktemp('nodes')) as run:
         yield run
+
+
+@pytest.fixture
+def peer():
+    """Return a node of this process that talks to those under test."""
+    rclpy = pytest.importorskip('rclpy')
+    from peer import Peer
+    rclpy.init()
+    try:
+        yield Peer()
+    finally:
+        rclpy.shutdown()

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger                                    # noqa: E402
 from peer import PATIENCE_S, Peer                                   # noqa: E402
 from starcal_ros import demo, parameter_file, record, rotation      # noqa: E402
 from starcal_ros.calibration import predicted_centroid              # noqa: E402
+from starcal_ros.nodes import programs                           # noqa: E402
 from starcal_ros.nodes.composed import NODES, node_class            # noqa: E402
 from starcal_ros.simulation import sensors                          # noqa: E402
 from starcal_ros.units import ARCSEC, DEG                           # noqa: E402
@@ -24,6 +25,16 @@ from starcal_ros.units import ARCSEC, DEG                           # noqa: E402
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 60.0, 'simulation.real_time_factor': 0.0,
      'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2})
+
+
+def test_every_node_is_a_program_that_is_installed():
+    setup = (Path(__file__).parents[1] / 'setup.py').read_text()
+    modules = Path(programs.__file__).parent.glob('*.py')
+    assert {*NODES, 'composed'} == {
+        path.stem for path in modules if '\ndef main(' in path.read_text()}
+    for name in (*NODES, 'composed'):
+        assert callable(getattr(programs, name)), name
+        assert f"'{name}': 'starcal_ros.nodes.programs:{name}'" in setup
 
 
 def test_all_nodes_in_one_process_lose_nothing_as_fast_as_they_go(start, tmp_path):

@@ -17,7 +17,7 @@ from lifecycle_msgs.msg import Transition                           # noqa: E402
 from lifecycle_msgs.srv import ChangeState                          # noqa: E402
 from sensor_msgs.msg import Image, PointCloud2                      # noqa: E402
 
-from peer import PATIENCE_S, Peer                                   # noqa: E402
+from peer import PATIENCE_S                                         # noqa: E402
 from starcal_ros import parameter_file, rotation                    # noqa: E402
 from starcal_ros.cdr import Messages                                # noqa: E402
 from starcal_ros.cdr_cloud import decode_centroids, encode_centroids        # noqa: E402
@@ -40,15 +40,6 @@ def parameters(tmp_path):
     path = tmp_path / 'scenario.yaml'
     path.write_text(parameter_file.dump(SCENARIO))
     return '--params-file', str(path)
-
-
-@pytest.fixture
-def peer():
-    rclpy.init()
-    try:
-        yield Peer()
-    finally:
-        rclpy.shutdown()
 
 
 def listen(peer, kind, topic):

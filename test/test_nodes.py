@@ -23,7 +23,7 @@ from sensor_msgs.msg import CameraInfo, Imu                                     
 from std_srvs.srv import SetBool, Trigger                                       # noqa: E402
 import yaml                                                                     # noqa: E402
 
-from peer import PATIENCE_S, Peer                                               # noqa: E402
+from peer import PATIENCE_S                                                     # noqa: E402
 from starcal_ros import config, demo, parameter_file, record                    # noqa: E402
 from starcal_ros import ros_conventions, rotation                               # noqa: E402
 from starcal_ros.bag import open_bag                                            # noqa: E402
@@ -152,15 +152,6 @@ def parameters(tmp_path):
     path.write_text(parameter_file.dump(SCENARIO.replace({
         'estimator.calibration_directory': str(tmp_path / 'saved')})))
     return '--params-file', str(path)
-
-
-@pytest.fixture
-def peer():
-    rclpy.init()
-    try:
-        yield Peer()
-    finally:
-        rclpy.shutdown()
 
 
 @pytest.fixture(scope='module')

@@ -15,7 +15,7 @@ from sensor_msgs.msg import Imu                                     # noqa: E402
 from std_msgs.msg import Float64MultiArray                          # noqa: E402
 from std_srvs.srv import Trigger                                    # noqa: E402
 
-from peer import LATCHED, PATIENCE_S, Peer                          # noqa: E402
+from peer import LATCHED, PATIENCE_S                                # noqa: E402
 from starcal_ros import parameter_file                              # noqa: E402
 from starcal_ros.nodes.pacing import SimulatedClock                 # noqa: E402
 from starcal_ros.simulate import simulate                           # noqa: E402
@@ -39,15 +39,6 @@ def folder(tmp_path_factory):
     simulate(SCENARIO, folder / 'run.mcap')
     (folder / 'config.yaml').write_text(parameter_file.dump(SCENARIO))
     return folder
-
-
-@pytest.fixture
-def peer():
-    rclpy.init()
-    try:
-        yield Peer()
-    finally:
-        rclpy.shutdown()
 
 
 def test_clock_stands_until_it_begins_and_while_it_is_stopped():

@@ -55,6 +55,8 @@ GROUPS = {'group1': Group(6.22, 31.4), 'group2': Group(5.77, 19.1), 'group3': Gr
 """W19's groups by their number of stars. At its limits, V of 6, 5.5 and 4.6, taken as Hp, the sky
 has 24.5, 14.1 and 5.1 stars a frame on average."""
 
+_RICH = 8               # stars: Model 2 then takes four, and differs from Model 1
+
 LENS = Lens(partial(published_cameras.unproject_w19, pitch_mm=DETECTOR.pitch_mm, steps=0),
             partial(published_cameras.linearize_w19, pitch_mm=DETECTOR.pitch_mm))
 
@@ -192,6 +194,12 @@ def nees(belief: Belief) -> Array:
     """Return the normalised estimation error squared of each run, (runs,); 6 degrees."""
     whitened = np.linalg.solve(belief.root, (belief.parameters - TRUTH)[..., None])
     return np.sum(whitened**2, axis=(-2, -1))
+
+
+def rich_views(scenario: Scenario, count: int) -> list[View]:
+    """Return the first frames of group2 that show all models, for W19's Fig. 3 and 4."""
+    return [view for view in sky(scenario, GROUPS['group2']).calibrate
+            if len(view.uv) >= _RICH][:count]
 
 
 def least_observable(view: View, model: int, chosen: Sequence[int]) -> float:

@@ -33,8 +33,7 @@ NOTES = (
 def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Compute the MSV of each model."""
-    frames = [view for view in wu2019.sky(scenario, wu2019.GROUPS['group2']).calibrate
-              if len(view.uv) >= 8][:runs]
+    frames = wu2019.rich_views(scenario, runs)
     panels, rows = [], []
     for k, (name, order) in enumerate(NUMBERINGS.items()):
         numbered = [View(view.u_i[order(view)], view.uv[order(view)]) for view in frames]

@@ -27,8 +27,7 @@ NOTES = (
 def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Compute the MSV of each singular value."""
-    frames = [view for view in wu2019.sky(scenario, wu2019.GROUPS['group2']).calibrate
-              if len(view.uv) >= 8][:runs]
+    frames = wu2019.rich_views(scenario, runs)
     msv = np.array([[wu2019.least_observable(view, 4, (number,)) for view in frames]
                     for number in (1, 2, 3)])
     on_progress(1.0)
