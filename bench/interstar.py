@@ -3,13 +3,15 @@
 """Time of S24's equations: `OPENBLAS_NUM_THREADS=1 python bench/interstar.py`.
 
 As written: all NF (NF - 1) NS (NS - 1) / 4 rows of A and e (S24 Eq. 11, 12), then A'A and A'e.
-Reduced: the same two from moments of the directions (`starcal_ros.interstar`), rounds batched.
-The best of several tries.
+Reduced: the same two from sums over stars and frames (`starcal_ros.interstar_complete`), rounds
+batched. Both begin with the directions of the spots and their derivatives; the best of several
+tries.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from starcal_ros import interstar
 from starcal_ros.evaluation.self2024 import (METHODS, PITCH_MM, TRUTH, Point, run_file, scenes,
                                              spots)
+from starcal_ros.interstar_complete import normal_equations
 
 Array = NDArray[np.float64]
 
@@ -48,13 +51,6 @@ def as_written(sight: interstar.Sight) -> tuple[Array, Array]:
     return A.T @ A, A.T @ e
 
 
-def reduced(uv: Array, x: Array) -> tuple[Array, Array]:
-    """Return the same of some rounds."""
-    sight = interstar.pinhole(uv, x, PITCH_MM, True)
-    equations = interstar.equations(sight)
-    return equations.product(sight.instruments), equations.value
-
-
 def main() -> None:
     """Print the times."""
     np.empty(31 << 20, np.uint8)                # as in self2024.run_file
@@ -63,12 +59,13 @@ def main() -> None:
         v, C_si = scenes(np.random.default_rng(1), AT_ONCE, point)
         uv = spots(v, C_si)
         uv = uv + 0.07 * np.random.default_rng(2).standard_normal(uv.shape)
-        x = np.broadcast_to(TRUTH, (AT_ONCE, 3))
-        sight = interstar.pinhole(uv[0], TRUTH, PITCH_MM, True)
-        for ours, literal in zip(reduced(uv, x), as_written(sight)):
+        sight = interstar.pinhole(uv, np.broadcast_to(TRUTH, (AT_ONCE, 3)), PITCH_MM, True)
+        one = interstar.pinhole(uv[0], TRUTH, PITCH_MM, True)
+        for ours, literal in zip(reversed(normal_equations(sight, sight.instruments)),
+                                 as_written(one)):
             np.testing.assert_allclose(ours[0], literal, rtol=1e-5)
-        written = best(lambda: as_written(sight), 5)
-        ours_ms = best(lambda: reduced(uv, x), 40) / AT_ONCE
+        written = best(partial(as_written, one), 5)
+        ours_ms = best(partial(normal_equations, sight, sight.instruments), 40) / AT_ONCE
         print(f'NF {point.frames:3d}, NS {point.stars:2d}: as written {written:7.1f} ms, reduced '
               f'{ours_ms:6.3f} ms, {written / ours_ms:5.0f} times'
               + (f' ({RATIO:.0f} wanted)' if point is POINTS[0] else ''))

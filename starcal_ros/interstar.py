@@ -220,7 +220,7 @@ def equations(sight: Sight, cosines: Array | None = None, seen: Mask | None = No
         Spots that were seen, if not all; a pair counts in the frames that show both.
     """
     w, b = sight.w, sight.instruments
-    counts, moment, residual = _joined(w, cosines, seen)
+    counts, moment, residual = joined(w, cosines, seen)
     by_direction = np.einsum('ac...ms,kc...ms->ka...ms', moment, b)
     by_direction += np.einsum('kac...ms,c...ms->ka...ms', _summed(w, b, counts), w)
     if cosines is None:
@@ -273,7 +273,7 @@ def bias(look: Callable[[Array], Sight], uv: Array, sigma: Array | float,
     """
     sight = look(uv)
     w, b, t = sight.w, sight.instruments, sight.by_spot
-    counts, moment, residual = _joined(w, None, seen)
+    counts, moment, residual = joined(w, None, seen)
     moment = moment - _summed(w, w[None], 1)[0]
     crossed = _summed(w, b, counts) - _summed(w, b, 1)
     variance = np.broadcast_to(np.square(sigma), w.shape[1:])
@@ -294,7 +294,7 @@ def misfit(sight: Sight, cosines: Array | None = None, seen: Mask | None = None)
     The shift of one spot, all others held, that minimises the sum of its e squared.
     """
     w, t = sight.w, sight.by_spot
-    _, moment, residual = _joined(w, cosines, seen)
+    _, moment, residual = joined(w, cosines, seen)
     N = np.einsum('ka...ms,ac...ms,lc...ms->...mskl', t, moment, t)
     z = np.einsum('ka...ms,a...ms->...msk', t, residual)
     determinant = N[..., 0, 0] * N[..., 1, 1] - N[..., 0, 1]**2
@@ -304,9 +304,9 @@ def misfit(sight: Sight, cosines: Array | None = None, seen: Mask | None = None)
     return np.where(lonely[..., None], 0.0, shift / np.where(lonely, 1.0, determinant)[..., None])
 
 
-def _joined(w: Array, cosines: Array | None, seen: Mask | None
-            ) -> tuple[Array | int, Array, Array]:
-    """Return n_ij, one number where all are the same, sum_j n_ij w_j w_j' and V."""
+def joined(w: Array, cosines: Array | None, seen: Mask | None
+           ) -> tuple[Array | int, Array, Array]:
+    """Return n_ij, one number where all are the same, sum_j n_ij w_j w_j' and V of Eq. (I.3)."""
     counts: Array | int = 1
     if cosines is None:
         cosines = np.sum(np.swapaxes(w, -1, -2) @ w, axis=0)            # summed over the frames

@@ -12,6 +12,7 @@ from starcal_ros import camera, interstar
 from starcal_ros.evaluation import consistency
 from starcal_ros.evaluation.self2024 import (LARGEST, PITCH_MM, START, TRUTH, Point, evaluate,
                                              scenes, spots)
+from starcal_ros.interstar_complete import normal_equations
 
 POINT = Point(frames=9, stars=6)
 DISTORTED = np.array([3.0, -2.0, 24.5, 2e-4, -1e-6, 1e-5, -2e-5])
@@ -72,6 +73,12 @@ def test_sums_over_pairs_are_the_literal_ones(model, constrained, identified, mi
     # Rounding: of terms of the size of b w w, over the smallest sums.
     np.testing.assert_allclose(equations.product(sight.instruments), normal, rtol=1e-7)
     np.testing.assert_allclose(equations.value, value, rtol=1e-6)
+    if not missing:
+        value_complete, normal_complete = normal_equations(sight, sight.instruments, cosines)
+        np.testing.assert_allclose(normal_complete, normal, rtol=1e-7)
+        np.testing.assert_allclose(value_complete, value, rtol=1e-6)
+        _, matrix = normal_equations(sight, sight.by_intrinsics, cosines)
+        np.testing.assert_allclose(matrix, equations.product(sight.by_intrinsics), rtol=1e-7)
 
 
 def test_rounds_are_batches():

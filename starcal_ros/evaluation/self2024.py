@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from starcal_ros import camera, interstar, rotation
 from starcal_ros.evaluation.montecarlo import complete
+from starcal_ros.interstar_complete import normal_equations
 
 Array = NDArray[np.float64]
 
@@ -170,10 +171,10 @@ def evaluate(x: Array, uv: Array, cosines: Array | None, constrained: bool,
         lambda of S24 Eq. 10; Newton's method without.
     """
     sight = interstar.pinhole(uv, x, PITCH_MM, constrained)
-    equations = interstar.equations(sight, cosines)
     if scale is None:
-        return equations.value, equations.product(sight.by_intrinsics)
-    return equations.value, equations.product(sight.instruments) / scale
+        return normal_equations(sight, sight.by_intrinsics, cosines)
+    value, matrix = normal_equations(sight, sight.instruments, cosines)
+    return value, matrix / scale
 
 
 def evaluate_unbiased(x: Array, uv: Array, sigma: float) -> tuple[Array, Array]:
