@@ -3,18 +3,21 @@
 """Each table and figure can be reproduced, and says the numbers of the paper beside ours."""
 
 import dataclasses
+import io
 import json
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from starcal_ros import cli, parameter_file
 from starcal_ros.estimator import CALIBRATED, PSI, STATE_NAMES, UNIT, Filter
 from starcal_ros.evaluation import (batch, bounds, montecarlo, published, real_images,
                                     traces)
 from starcal_ros.evaluation.published import open_loop, table4
+from starcal_ros.report.published import published as table_of
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.units import ARCSEC
 
@@ -44,6 +47,13 @@ def test_rows_fill_the_columns_and_the_notes_say_what_is_missing(outcome):
     assert outcome.rows and outcome.notes
     assert {len(row) for row in outcome.rows} == {len(outcome.columns)}
     json.dumps(outcome.as_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize('width', [50, 1000])
+def test_table_shows_every_digit_however_narrow_the_terminal(outcome, width):
+    console = Console(width=width, file=io.StringIO())
+    console.print(table_of(outcome))
+    assert '\N{HORIZONTAL ELLIPSIS}' not in console.file.getvalue()
 
 
 def test_what_is_drawn_is_finite(outcome):

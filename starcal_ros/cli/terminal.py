@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+_UNBOUNDED = 1000       # characters
+
 
 @contextmanager
 def progress(text: str) -> Iterator[Callable[[float], None]]:
@@ -22,10 +24,10 @@ def progress(text: str) -> Iterator[Callable[[float], None]]:
 
 
 def show(what: Table | str) -> None:
-    """Print on standard output, wide enough for the tables where that is a file or a pipe."""
+    """Print on standard output; a file or a pipe is as wide as the widest table."""
     console = Console(highlight=False, soft_wrap=True)
     if not console.is_terminal:
-        console = Console(highlight=False, soft_wrap=True, width=120)
+        console = Console(highlight=False, soft_wrap=True, width=_UNBOUNDED)
     console.print(what, markup=False) if isinstance(what, str) else console.print(what)
 
 

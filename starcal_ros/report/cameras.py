@@ -73,5 +73,5 @@ def _table(title: str, columns: tuple[str, ...]) -> Table:
     out = Table(title=title)
     for column in columns:
         out.add_column(column, justify='left' if column in (*_LEFT, 'parameter') else 'right',
-                       no_wrap=True)
+                       overflow='fold')
     return out

@@ -26,7 +26,8 @@ def published(outcome: Outcome) -> Table:
     """Return an outcome as a table, its notes below."""
     out = Table(title=outcome.title, caption='\n'.join(outcome.notes), caption_justify='left')
     for name, value in zip(outcome.columns, outcome.rows[0]):
-        out.add_column(name, justify='left' if isinstance(value, str) else 'right', no_wrap=True)
+        out.add_column(name, justify='left' if isinstance(value, str) else 'right',
+                       overflow='fold')
     group = outcome.rows[0][0]
     grouped = sum(row[0] == group for row in outcome.rows) > 1
     for row in outcome.rows:

@@ -76,7 +76,7 @@ def table(states: Sequence[Row], title: str) -> Table:
                *(['error/sigma', 'T18 error (2 h)'] if known else [])]
     for column in columns:
         out.add_column(column, justify='left' if column in ('state', 'unit') else 'right',
-                       no_wrap=True)
+                       overflow='fold')
     for row, paper in zip(states, T18_ERROR):
         cells = [row.label, row.unit]
         cells += [row.places(row.truth)] if known else []

@@ -21,7 +21,7 @@ def study(point: dict[str, Any], title: str) -> Table:
         f'ratio 95 %: {interval("ratio_interval_95")}'))
     for column in ('state', 'unit', 'RMS', 'bound', 'ratio', 'stated sigma'):
         out.add_column(column, justify='left' if column in ('state', 'unit') else 'right',
-                       no_wrap=True)
+                       overflow='fold')
     for name, state in point['states'].items():
         out.add_row(name, state['unit'], f'{state["rms"]:.3g}', f'{state["bound"]:.3g}',
                     f'{state["ratio"]:.3f}', f'{state["sigma"]:.3g}')

@@ -26,8 +26,8 @@ NOTES = (
     'the camera held; every fourth image is held out. The reference is a bundle fit by others, '
     'its last column with each image held out in turn.',
     'angular_distance, fully weighted, uses what the bundle uses, one image after the other; '
-    'singular_value leaves out part of what an image knows. interstar (TCOC) knows no distortion: '
-    'its residuals grow towards the edges of the field.')
+    'singular_value leaves out part of what an image knows. interstar (TCOC) weights all pairs of '
+    'stars alike: its sigmas are larger by an eighth.')
 _BINS = 8
 
 
