@@ -32,7 +32,7 @@ _TICK_S = 1.0 / os.sysconf('SC_CLK_TCK')
 def start(name: str, folder: Path, *names: str) -> subprocess.Popen[str]:
     """Start a node, or several in one process."""
     command = demo.node_command(name, {}, folder / 'config.yaml')
-    command[3:3] = names
+    command[4:4] = names
     return subprocess.Popen(command, env={**os.environ, **demo.isolated()}, text=True,
                             stderr=subprocess.PIPE if 'gyro_sim' in (name, *names) else None)
 

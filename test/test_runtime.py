@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from starcal_ros.nodes.composed import NODES                        # noqa: E402
+
 START = """
 import sys
 from pathlib import Path
@@ -113,6 +115,24 @@ def test_missing_parameter_file_is_named_without_traceback():
     status, _, errors = finish(start('pass', 'Subject', *words))
     assert status == 2
     assert 'none.yaml' in errors and 'Traceback' not in errors
+
+
+@pytest.mark.parametrize('words, said', [(['tan2018.yaml'], 'got tan2018.yaml'),
+                                         (['--rate', '2'], 'got --rate 2')])
+def test_arguments_that_no_node_knows_are_refused_and_the_right_ones_named(words, said):
+    status, out, errors = finish(start('pass', 'Subject', *words))
+    assert (status, out) == (2, '')
+    assert said in errors and '--params-file' in errors and errors.count('\n') == 1
+
+
+@pytest.mark.parametrize('word', ['-h', '--help'])
+@pytest.mark.parametrize('name', [*NODES, 'composed'])
+def test_every_program_has_help(name, word):
+    process = subprocess.run([sys.executable, '-m', 'starcal_ros.nodes.programs', name, word],
+                             capture_output=True, text=True, timeout=20)
+    assert (process.returncode, process.stderr) == (0, '')
+    assert f'ros2 run starcal_ros {name} ' in process.stdout
+    assert '--params-file' in process.stdout and 'tan2018.yaml' in process.stdout
 
 
 def test_defect_shows_its_traceback_after_the_node_was_closed():

@@ -12,9 +12,8 @@ from importlib import import_module
 import sys
 
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 
-from starcal_ros.nodes import runtime
+from starcal_ros.nodes import command_line, runtime
 
 NODES = ('recorder', 'watch', 'estimator', 'intrinsics_estimator', 'star_identifier',
          'centroid_extractor', 'player', 'star_tracker_sim', 'gyro_sim')
@@ -30,7 +29,11 @@ def node_class(name: str) -> type[Node]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the nodes that the command line names."""
-    names = remove_ros_args(sys.argv if args is None else args)[1:]
+    names = command_line.words(args)
+    if command_line.asks_for_help(names):
+        print(command_line.help_text(__name__, __doc__, 'NODE [NODE ...] '))
+        print(f'Nodes: {", ".join(NODES)}')
+        return runtime.STATUS_OK
     wrong = [name for name in names if name not in NODES]
     if wrong or not names:
         print(f'error: got {", ".join(wrong) or "no node"}, needs one or more of '

@@ -43,6 +43,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from starcal_ros.cdr import RecordError
+from starcal_ros.nodes import command_line
 from starcal_ros.parameter import ConfigError
 
 _LOOK_S = 0.005                 # between looks at the inputs where nothing comes
@@ -102,7 +103,18 @@ def end_timer(node: Node, timer: Timer) -> None:
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Create a node and serve it until a signal comes or it is finished; see `run_together`."""
+    """Create a node and serve it until a signal comes or it is finished; see `run_together`.
+
+    A command line with more than ROS arguments gets help or a refusal.
+    """
+    given = command_line.words(args)
+    if command_line.asks_for_help(given):
+        module = make_node.__module__
+        print(command_line.help_text(module, sys.modules[module].__doc__))
+        return STATUS_OK
+    if given:
+        print(command_line.refusal(given), file=sys.stderr)
+        return STATUS_USAGE
     return run_together([make_node], args)
 
 
