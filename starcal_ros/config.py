@@ -151,8 +151,8 @@ class SimulationConfig:
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that each sensor topic must have before the run begins', '', 0, 100)] = 0
     images: Annotated[bool, Spec(
-        'The node star_tracker_sim publishes images (star_tracker/image_raw, group image), and '
-        'its centroids as truth/centroids')] = False
+        'The star tracker delivers images (star_tracker/image_raw, group image), and its '
+        'centroids as truth/centroids')] = False
 
 
 @dataclass(frozen=True)

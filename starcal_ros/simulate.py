@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import parameter_file, rotation
+from starcal_ros.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.config import Scenario
 from starcal_ros.record import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.record_writer import (LATCHED, Batch, Writer, centroids_batch, imu_batch,
@@ -20,14 +21,19 @@ from starcal_ros.record_writer import (LATCHED, Batch, Writer, centroids_batch, 
 from starcal_ros.ros_conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME, camera_info
 from starcal_ros.scenario import detector, intrinsics
 from starcal_ros.simulation import sensors
+from starcal_ros.simulation.render import ImageSimulator
 from starcal_ros.simulation.truth import VECTOR_LABEL, Truth
 
 _BATCH_S = 60.0             # simulated seconds written at once
+_IMAGES_BATCH_S = 2.0       # the same, where a frame takes megabytes
 
 
 def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
              on_progress: Callable[[float], None] | None = None) -> None:
     """Write the recording of a scenario: sensors, nominal camera, truth, configuration.
+
+    With ``simulation.images`` the star tracker delivers images, its centroids being truth, as the
+    node does.
 
     Parameters
     ----------
@@ -45,23 +51,27 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
     RecordError
         Where the file exists or can not be made.
     ValueError
-        Where the catalogue does not reach down to the limiting magnitude.
+        Where the catalogue does not reach down to a limiting magnitude.
     """
     truth = Truth.from_scenario(scenario)
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
     variance = gyro.rate_variance
+    renderer = sensors.images(scenario) if scenario.simulation.images else None
+    centroids = '/truth/centroids' if renderer else '/star_tracker/centroids'
+    batch_s = _IMAGES_BATCH_S if renderer else _BATCH_S
     with Writer(path, overwrite) as writer:
         writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
                       'application/yaml')
         writer.attach(TRUTH_ATTACHMENT, json.dumps(truth.as_dict(), indent=1).encode(),
                       'application/json')
         writer.write_batches(*_latched(scenario, truth))
-        batches = max(1, int(np.ceil(scenario.simulation.duration_s / _BATCH_S)))
+        batches = max(1, int(np.ceil(scenario.simulation.duration_s / batch_s)))
         for done in range(1, batches + 1):
             samples = gyro.next(gyro.count * done // batches - gyro.next_index)
             frames = tracker.next(tracker.count * done // batches - tracker.next_index)
             writer.write_batches(imu_batch('/imu/data_raw', samples, GYRO_FRAME, variance),
-                                 centroids_batch('/star_tracker/centroids', frames),
+                                 *([_images(frames.stamp_ns, renderer)] if renderer else []),
+                                 centroids_batch(centroids, frames),
                                  _attitude(frames.stamp_ns, truth))
             if on_progress:
                 on_progress(done / batches)
@@ -86,6 +96,11 @@ def _latched(scenario: Scenario, truth: Truth) -> list[Batch]:
             for topic, type_name, message in (
                 ('/star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', camera),
                 ('/truth/parameters', 'std_msgs/msg/Float64MultiArray', parameters))]
+
+
+def _images(stamps_ns: NDArray[np.int64], renderer: ImageSimulator) -> Batch:
+    return Batch('/star_tracker/image_raw', IMAGE_TYPE, stamps_ns, [
+        encode_image(stamp_ns, renderer.image(stamp_ns)) for stamp_ns in stamps_ns.tolist()])
 
 
 def _attitude(stamps_ns: NDArray[np.int64], truth: Truth) -> Batch:

@@ -4,21 +4,22 @@
 
 import json
 
+from mcap.reader import make_reader
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import catalog, parameter_file, record
+from starcal_ros import parameter_file, record
 from starcal_ros.camera import INTRINSICS_KEYS
 from starcal_ros.cdr import RecordError
+from starcal_ros.cdr_cloud import encode_centroids
 from starcal_ros.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.cli import main
 from starcal_ros.config import Scenario
-from starcal_ros.config_image import ImageConfig
 from starcal_ros.imaging.recorded import measure
-from starcal_ros.record_writer import Writer, imu_batch
+from starcal_ros.record_writer import Writer
+from starcal_ros.simulate import simulate
 from starcal_ros.simulation import sensors
-from starcal_ros.simulation.render import ImageSimulator
 from starcal_ros.simulation.truth import Truth
 
 # T18's field and lens on few, large pixels, hardly at rest; the focal length believed 10 % less.
@@ -27,31 +28,33 @@ SCENARIO = Scenario().replace({
     'camera.pixel_pitch_mm': 0.0172, 'camera.focal_length_mm': 23.04,
     'truth.camera.focal_length_mm': 25.6, 'truth.camera.principal_point_px': (3.0, -2.0),
     'truth.camera.distortion': (2e-4, -1e-6, 2e-5, 2e-5),
-    'truth.gyro.bias_deg_h': (0.01, -0.02, 0.015), 'motion.dwell_s': 5.0})
+    'truth.gyro.bias_deg_h': (0.01, -0.02, 0.015), 'motion.dwell_s': 5.0,
+    'simulation.images': True, 'image.limiting_magnitude': 6.6, 'image.full_well_electrons': 6e4})
 TRUTH = Truth.from_scenario(SCENARIO)
-
-
-def record_images(path, frames=None):
-    """Write gyro readings and so many images, or all."""
-    config = ImageConfig(limiting_magnitude=6.6, full_well_electrons=6e4)
-    images = ImageSimulator(SCENARIO, config, TRUTH, catalog.load(config.limiting_magnitude),
-                            np.random.default_rng(1))
-    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
-    with Writer(path) as writer:
-        writer.attach(record.TRUTH_ATTACHMENT, json.dumps(TRUTH.as_dict()).encode(),
-                      'application/json')
-        writer.write_batches(imu_batch('/imu/data_raw', gyro.next(gyro.count), 'gyro',
-                                       gyro.rate_variance))
-        for stamp_ns in tracker.next(frames or tracker.count).stamp_ns.tolist():
-            writer.write('/star_tracker/image_raw', IMAGE_TYPE,
-                         encode_image(stamp_ns, images.image(stamp_ns)), stamp_ns)
-    return path
 
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):
     """Return ten images."""
-    return record_images(tmp_path_factory.mktemp('bag') / 'images.mcap', 10)
+    path = tmp_path_factory.mktemp('bag') / 'images.mcap'
+    simulate(SCENARIO.replace({'simulation.duration_s': 5.0}), path)
+    return path
+
+
+def test_simulated_images_are_those_of_the_node_and_the_centroids_are_truth(bag):
+    renderer, tracker = sensors.images(SCENARIO), sensors.star_tracker(SCENARIO)
+    frames = tracker.next(10)
+    expected = [encode_image(stamp_ns, renderer.image(stamp_ns))
+                for stamp_ns in frames.stamp_ns.tolist()]
+    with bag.open('rb') as stream:
+        written = [(channel.topic, message.data) for _, channel, message in
+                   make_reader(stream).iter_messages(['/star_tracker/image_raw',
+                                                      '/star_tracker/centroids'])]
+    assert written == [('/star_tracker/image_raw', image) for image in expected]
+    with bag.open('rb') as stream:
+        truth = [message.data for _, _, message in
+                 make_reader(stream).iter_messages(['/truth/centroids'])]
+    assert truth == encode_centroids(frames)
 
 
 def test_frames_are_those_of_the_images(bag):
@@ -107,7 +110,8 @@ def test_bootstrap_from_images_alone(tmp_path, capsys):
     """A focal length that is 10 % wrong, no name of a star, no centroid: to the 16 states."""
     pytest.importorskip('tetra3rs')
     out, config = tmp_path / 'result.json', tmp_path / 'config.yaml'
-    bag = record_images(tmp_path / 'images.mcap')
+    bag = tmp_path / 'images.mcap'
+    simulate(SCENARIO, bag)
     config.write_text(parameter_file.dump(SCENARIO))
     assert main(['bootstrap', str(bag), '--config', str(config), '--out', str(out)]) == 0
     steps = {step['step']: step for step in json.loads(out.read_text())['steps']}
