@@ -30,6 +30,8 @@ Mask = NDArray[np.bool_]
 
 MIN_STARS = 3
 """Stars that must agree before an attitude is believed."""
+OUT_OF_PLACE = 0.1
+"""Of the size of a frame: no camera that is calibrated puts a star so far off."""
 
 _PAIRS = 500            # pairs that are tried, at most
 _ITERATIONS = 10

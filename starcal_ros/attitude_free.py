@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import camera, invariants, kalman
-from starcal_ros.acquisition import consensus
+from starcal_ros.acquisition import OUT_OF_PLACE, consensus
 from starcal_ros.camera_estimate import CameraEstimate, beginning
 from starcal_ros.config import Scenario
 from starcal_ros.estimator import Filter
@@ -184,7 +184,9 @@ def _vote(belief: Belief, stars: Stars, lens: Lens) -> Mask:
     spread = np.linalg.norm((frame.H @ belief.root).reshape(len(stars.sigma), -1), axis=-1)
     wrong = (6.0 * spread + 10.0) * np.linalg.norm(
         invariants.direction_slopes(frame), axis=(-2, -1))
-    return consensus(stars.u_i, lens.unproject(stars.uv, belief.parameters), float(wrong.max()))
+    r_s = lens.unproject(stars.uv, belief.parameters)
+    size = np.linalg.norm(r_s - r_s[0], axis=-1).max()
+    return consensus(stars.u_i, r_s, float(min(wrong.max(), OUT_OF_PLACE * size)))
 
 
 class AttitudeFree:

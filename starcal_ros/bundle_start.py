@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros import rotation
-from starcal_ros.acquisition import consensus
+from starcal_ros.acquisition import OUT_OF_PLACE, consensus
 from starcal_ros.bundle import MIN_STARS, Spots
 from starcal_ros.measurements import Frames
 from starcal_ros.places import Placed
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-_OUT_OF_PLACE = 0.1     # of the size of a frame: no camera that is adjusted is that wrong
 
 
 def identified(frames: Frames, placed: Placed) -> Spots:
@@ -52,7 +50,7 @@ def attitudes(spots: Spots, r_s: Array) -> Array:
     C_si = _wahba(spots, r_s, counts)
     first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
     across = np.linalg.norm(r_s - r_s[first][spots.frame], axis=-1)
-    allowed = _OUT_OF_PLACE * np.maximum.reduceat(across, first)
+    allowed = OUT_OF_PLACE * np.maximum.reduceat(across, first)
     u_s = (C_si[spots.frame] @ spots.u_i[..., None])[..., 0]
     out = np.linalg.norm(u_s - r_s, axis=-1) > allowed[spots.frame]
     for k in np.unique(spots.frame[out]):

@@ -34,8 +34,8 @@ def intrinsics(f_px, u0_px, v0_px, k1, k2, p1, p2):
                             np.array([k1, k2, p1, p2, 0]), PIXELS)
 
 
-def write(path, images, sigma=0.1, seed=1, held=()):
-    """Write the stars of random looks at the sky."""
+def write(path, images, sigma=0.1, seed=1, held=(), wrong=0.0):
+    """Write the stars of random looks at the sky, so many of them under numbers of others."""
     rng = np.random.default_rng(seed)
     stars = catalog.load(6.5)
     u_i = sky.apparent_places(stars, np.arange(len(stars)), np.array([unix_ns(EPOCH)]),
@@ -48,7 +48,10 @@ def write(path, images, sigma=0.1, seed=1, held=()):
             ahead = r_s[:, 2] > 0.9
             uv = camera.project(r_s[ahead], intrinsics(**TRUE), PIXELS.pitch_mm)
             uv += sigma * rng.standard_normal(uv.shape)
-            for hip, place in zip(stars.hip[ahead], uv):
+            hips = stars.hip[ahead]
+            mixed = rng.random(len(hips)) < wrong
+            hips = np.where(mixed, rng.choice(stars.hip, len(hips)), hips)
+            for hip, place in zip(hips, uv):
                 if PIXELS.contains(place):
                     table.writerow([f'{k}.png', hip, *(place + PIXELS.centre_raster).tolist(),
                                     'heldout' if k in held else 'fit'])
@@ -84,6 +87,16 @@ def test_methods_without_an_attitude_take_a_table_as_a_spreadsheet_writes_it(
     camera_ = json.loads(out.read_text())
     for key in ('f_px', 'u0_px', 'v0_px'):
         assert abs(camera_[key] - TRUE[key]) < 4.0 * camera_['sigma'][key]
+
+
+@pytest.mark.parametrize('method', ['bundle', 'angular_distance', 'singular_value', 'interstar'])
+def test_a_fifth_of_wrong_numbers_is_let_go(method, tmp_path):
+    images = plates.read_centroids(write(tmp_path / 'stars.csv', 12, wrong=0.2), EPOCH)
+    f_px = plates.focal_length_px(images, WIDTH, HEIGHT)
+    found = plates.calibrate(images, plates.scenario_of(WIDTH, HEIGHT, f_px, method)).as_dict()
+    error = np.array([found[key] - TRUE[key] for key in plates.KEYS])
+    assert error @ np.linalg.solve(np.array(found['covariance']), error) < 24.3
+    assert found['counts']['images'] == 12
 
 
 def test_residuals_are_the_noise_of_the_centroids(found):
