@@ -52,7 +52,7 @@ class Numbers(Node):
         self.feed.close()
 
 
-sys.exit(run(Numbers))
+sys.exit(run(Numbers, sys.argv[:1]))
 """
 
 # Reports as JSON what came, when it has the last number; argv: last, pause a batch, latched, raw.
@@ -90,7 +90,7 @@ class Listener(Node):
                           'largest_batch': max(self.batches, default=0)}), flush=True)
 
 
-sys.exit(run(Listener))
+sys.exit(run(Listener, sys.argv[:1]))
 """
 
 BEST_EFFORT = """

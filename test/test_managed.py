@@ -188,7 +188,7 @@ class Failing(ManagedNode):
         raise {'ConfigError': ConfigError, 'Defect': ZeroDivisionError}[sys.argv[2]]('told')
 
 
-sys.exit(run(Failing))
+sys.exit(run(Failing, sys.argv[:1]))
 """
 
 
