@@ -192,7 +192,7 @@ def test_a_site_needs_times(folder, tmp_path, capsys):
 
 @pytest.mark.parametrize('words, culprit', [
     (['nothing'], 'nothing does not exist; needs an .mcap file, a rosbag2 directory, or a folder'),
-    (['empty'], 'empty holds neither'),
+    (['empty'], 'empty holds no recording and no image'),
     (['images/a.png'], 'images/a.png is one image'),
     (['images'], 'images of different sizes: 64 x 48 px: a.png, c.png; 80 x 48 px: b.png'),
     (['images', '--width', '64'], '--width: is for --centroids'),

@@ -76,7 +76,7 @@ def _is_recording(path: Path) -> bool:
     if any(Path(name).suffix.lower() in SUFFIXES for name in names):
         return False
     what = ('is one image' if path.is_file() else
-            'holds neither' if path.is_dir() else 'does not exist')
+            'holds no recording and no image' if path.is_dir() else 'does not exist')
     raise ConfigError(f'{path} {what}; needs an .mcap file, a rosbag2 directory, or a folder of '
                       f'images ({", ".join(SUFFIXES)})')
 
