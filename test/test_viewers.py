@@ -76,8 +76,9 @@ def paths(layout):
     """Return topic, field, function and panel title of each path of a layout."""
     for panel in layout['configById'].values():
         for path in panel.get('paths', []):
+            plain = re.sub(r'\[:\]\{.*\}', '[0]', path['value'])       # one that is picked
             topic, field, function = re.fullmatch(
-                r'(/[\w/]+)\.([\w.\[\]]+?)(?:\.@(\w+))?', path['value']).groups()
+                r'(/[\w/]+)\.([\w.\[\]]+?)(?:\.@(\w+))?', plain).groups()
             yield topic, field, function, path['label'], panel.get('title', '')
 
 
@@ -111,6 +112,9 @@ def test_foxglove_shows_the_diagnostics_that_the_estimator_publishes(foxglove):
     panel = foxglove['configById']['DiagnosticStatusPanel!verdict']
     assert panel == {'topicToRender': '/diagnostics', 'selectedHardwareId': status.hardware_id,
                      'selectedName': status.name}
+    # Other nodes publish diagnostics, too: their messages are no verdicts.
+    verdict, = foxglove['configById']['StateTransitions!verdict']['paths']
+    assert verdict['value'] == f'/diagnostics.status[:]{{name=="{status.name}"}}.message'
 
 
 # PlotJuggler
