@@ -155,8 +155,13 @@ def _scatter(terms: _Terms, noise: Array) -> tuple[Array, Array, Array]:
     # A residual has the variance V (1 - h), h what its pixel takes part in its own fit.
     free = (weight > 0.0) * np.maximum(1.0 - np.einsum('npi,nip->np', columns, part), 0.0)
     free, square = free[:, :-1], (np.where(weight > 0.0, residual, 0.0)**2)[:, :-1]
-    light = free * np.maximum(terms.flux * terms.image.part(), 0.0)
+    bright = np.maximum(terms.flux * terms.image.part(), 0.0)
+    light = free * bright
     shot = ((square - free * noise[:, None]**2).sum(axis=1) / np.maximum(light.sum(axis=1), 1.0))
+    # Of few pixels a sum of squares is below its mean more often than not: the median of the
+    # shots of all stars shall be that mean (Wilson and Hilferty 1931).
+    pixels = light.sum(axis=1)**2 / np.maximum((light * bright).sum(axis=1), _TINY)
+    shot /= (1.0 - 2.0 / (9.0 * np.maximum(pixels, 1.0)))**3
     # A shape that is not quite the star's scatters more than the noise: then that is the noise.
     freedom = np.maximum(free.sum(axis=1), 1.0)
     excess = np.sum(square / variance[:, :-1], axis=1) / freedom
