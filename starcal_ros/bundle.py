@@ -322,7 +322,8 @@ class _Normal:
             (blocks.ravel(), (np.broadcast_to(rows, blocks.shape).ravel(),
                               np.broadcast_to(columns, blocks.shape).ravel())),
             shape=(3 * n, 2 * p)).tocsc()
-        S_dd = sparse.block_diag(N_dd) - self._ad.T @ self._ad
+        diagonal = sparse.bsr_array((N_dd, np.arange(p), np.arange(p + 1)))
+        S_dd = diagonal - self._ad.T @ self._ad
         self._factor = splu(S_dd.tocsc(), diag_pivot_thresh=0.0, options={'SymmetricMode': True})
         ac = self._ac.reshape(3 * n, -1)
         self._dc = N_dc.reshape(2 * p, -1) - self._ad.T @ ac

@@ -291,12 +291,12 @@ def calibrate(images: Plates, scenario: Scenario, site: Site | None = None
         fit = refit(fitted, estimate, scenario)
         assert fit is not None          # or there would be no estimate
         adjusted = fit.adjusted
-        freedom = (2 * adjusted.used.sum() - 3 * len(adjusted.C_si)
-                   - np.count_nonzero(estimate.sigma))
+        freedom = max(1, 2 * int(adjusted.used.sum()) - 3 * len(adjusted.C_si)
+                      - int(np.count_nonzero(estimate.sigma)))
         residual, stated = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
-        sigma = float(np.sqrt(np.sum(residual**2) / max(freedom, 1)))
+        sigma = float(np.sqrt(np.sum(residual**2) / freedom))
         result = PlateCamera(estimate, sigma, fit, refit(held, estimate, scenario), scenario)
-        scale = float(np.sqrt(np.sum((residual / stated[:, None])**2) / max(freedom, 1)))
+        scale = float(np.sqrt(np.sum((residual / stated[:, None])**2) / freedom))
         known = measured.sigma > 0.0
         measured = replace(measured, sigma=np.where(
             known, np.maximum(scale * measured.sigma, _LEAST_SIGMA_PX), 0.0))

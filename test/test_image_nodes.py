@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+import re
 import signal
 import sys
 
@@ -15,15 +16,17 @@ pytest.importorskip('tetra3rs')
 
 from lifecycle_msgs.msg import Transition                           # noqa: E402
 from lifecycle_msgs.srv import ChangeState                          # noqa: E402
+from rclpy.duration import Duration                                 # noqa: E402
 from sensor_msgs.msg import Image, PointCloud2                      # noqa: E402
 
 from peer import PATIENCE_S                                         # noqa: E402
-from starcal_ros import parameter_file, rotation                    # noqa: E402
+from starcal_ros import cdr, parameter_file, rotation               # noqa: E402
 from starcal_ros.cdr import Messages                                # noqa: E402
 from starcal_ros.cdr_cloud import decode_centroids, encode_centroids        # noqa: E402
 from starcal_ros.cdr_image import encode_image, IMAGE_TYPE          # noqa: E402
 from starcal_ros.imaging.frame import SpotMeter                     # noqa: E402
 from starcal_ros.measurements import Frames                         # noqa: E402
+from starcal_ros.nodes.star_identifier import StarIdentifier        # noqa: E402
 from starcal_ros.record_writer import Writer                        # noqa: E402
 from starcal_ros.simulation import sensors                          # noqa: E402
 from starcal_ros.simulation.truth import Truth                      # noqa: E402
@@ -138,7 +141,10 @@ def test_images_of_a_recording_are_played_to_the_same_numbers(start, parameters,
     peer.until(lambda: len(stars) == count)
     assert player.wait(PATIENCE_S) == 0
     end(nodes[1])
-    assert f'{count - 1} frames tracked' in end(nodes[0])
+    # A frame goes without the gyro after a second. Where the first readings are delivered late, as
+    # by a player that was found before it found, the second frame is searched for as well.
+    tracked = int(re.search(r'(\d+) frames tracked', end(nodes[0]))[1])
+    assert count - 2 <= tracked < count
     found = frames_of(stars)
     np.testing.assert_array_equal(found.stamp_ns, truth.stamp_ns)
     assert np.isin(truth.catalog_id, found.catalog_id).mean() > 0.85
@@ -190,6 +196,29 @@ def test_what_is_no_image_is_said_once_a_kind_and_counted(start, parameters, pee
     values = {item.key: item.value for item in peer.diagnostics[-1].status[0].values}
     assert (values['images'], values['unsupported encoding']) == ('1', '3')
     assert peer.diagnostics[-1].status[0].name == 'starcal: centroids'
+
+
+def test_readings_that_wait_are_used_though_their_publisher_is_gone(parameters, peer):
+    """The spots are looked at first, as an executor may."""
+    turning = slice(8, 10)
+    node = StarIdentifier(cli_args=['--ros-args', *parameters])
+    spots = peer.node.create_publisher(PointCloud2, 'star_tracker/spots', 10)
+    stars = listen(peer, PointCloud2, 'star_tracker/centroids')
+    while not node.inputs:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    peer.until(lambda: peer.gyro.get_subscription_count() and spots.get_subscription_count())
+    for message in cdr.encode_imu(sensors.gyro(SCENARIO).next(600)):
+        peer.gyro.publish(message.tobytes())
+    for message in encode_centroids(sky()[turning]):
+        spots.publish(message)
+    assert all(publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+               for publisher in (peer.gyro, spots))
+    peer.node.destroy_publisher(peer.gyro)
+    peer.until(lambda: not node.inputs[0].publishers)
+    node.inputs[1].take_all()
+    peer.until(lambda: len(stars) == 2)
+    assert node._tally.done['frames tracked'] == 1
+    node.destroy_node()
 
 
 def test_numbers_come_without_a_gyro_and_damaged_clouds_are_dropped(start, parameters, peer):

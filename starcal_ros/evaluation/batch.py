@@ -201,7 +201,7 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
 
     Places that a frame does not fill have an infinite sigma.
     """
-    counts = np.max([part.star_counts for part in frames], axis=0)
+    counts = np.stack([part.star_counts for part in frames]).max(axis=0)
     shape = (len(frames), len(counts), int(counts.max(initial=0)))
     padded = Stars(np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3)).copy(), np.zeros((*shape, 2)),
                    np.full(shape, np.inf))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ def background(image: Image) -> Background:
     height, width = image.shape[0] // rows, image.shape[1] // columns
     tiles = (image[:rows * height, :columns * width].reshape(rows, height, columns, width)
              [:, ::2, :, ::4].transpose(0, 2, 1, 3).reshape(rows * columns, -1))
-    middle = np.median(tiles, axis=1, keepdims=True)
+    middle: NDArray[np.floating[Any]] = np.median(tiles, axis=1, keepdims=True)
     spread = tiles.std(axis=1, keepdims=True)
     for _ in range(_ROUNDS):
         off = tiles - middle
@@ -64,7 +64,7 @@ def background(image: Image) -> Background:
                       _smooth(np.maximum(noise, _QUANTISATION), image.shape))
 
 
-def _smooth(tiles: Array, shape: tuple[int, ...]) -> Image:
+def _smooth(tiles: NDArray[np.floating[Any]], shape: tuple[int, ...]) -> Image:
     """Return values of tiles (rows, columns), linear between their centres, for each pixel."""
     by_row, by_column = (
         _between(count, size).astype(np.float32) for count, size in zip(tiles.shape, shape))

@@ -95,6 +95,7 @@ class StarIdentifier(ManagedNode):
         self._advance()
 
     def _on_spots(self, batch: list[bytes]) -> None:
+        self.inputs[0].take_all()       # readings that have come, though their publisher is gone
         for message in batch:
             for frames in decoded([message], cdr_cloud.decode_centroids, self._drop):
                 self._numbering.add_frames(frames)
