@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `star_identifier`: spots in, the same spots with their Hipparcos numbers out.
 
-A frame waits for the gyro readings up to its stamp, for a second at most; then it goes without.
+A frame waits for the gyro readings up to its stamp, four seconds at most; then it goes without.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from starcal_ros.nodes.tally import Tally
 from starcal_ros.numbering import Numbering
 from starcal_ros.parameter import ConfigError
 
-_PATIENCE_S = 1.0       # of a frame, with the gyro
+_PATIENCE_S = 4.0       # of a frame, with the gyro: Fast DDS sends again what it lost after 3 s
 _LOOK_S = 0.1
 _DRAIN_S = 6.0
 
