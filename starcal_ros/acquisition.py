@@ -80,7 +80,7 @@ def acquire(filter_: Filter, belief: Belief | None, stars: Stars) -> tuple[Belie
     fix, _ = Rotation.align_vectors(r_s[agreeing], stars.u_i[usable][agreeing])
     C_gi = estimate.C_sg.T @ fix.as_matrix()
     start = filter_.begin(C_gi) if belief is None else filter_.reacquired(belief, C_gi)
-    trusted = np.zeros(len(stars.sigma), dtype=bool)
+    trusted: Mask = np.zeros(len(stars.sigma), dtype=bool)
     trusted[usable[agreeing]] = True
     trusted = _resist(filter_, start, stars, trusted)
     _require(int(trusted.sum()), len(usable))

@@ -129,7 +129,7 @@ def adjust(spots: Spots, intrinsics: Array, C_si: Array, points: Array, pitch_mm
     """
     problem = _Problem(spots, intrinsics, pitch_mm, prior_covariance)
     state = _State(intrinsics, C_si, points)
-    used = np.ones(len(spots.frame), bool)
+    used: Mask = np.ones(len(spots.frame), bool)
     for robust in (True, False):
         state, scale = _settle(problem, state, used, robust)
         residual = problem.residual(state)

@@ -165,7 +165,7 @@ def _compose(theta: Array, dt: Array, interval: NDArray[np.int64], rank: NDArray
     """Compose pieces, each the `rank`-th of its interval, into n Delta and J."""
     width = 1 << int(rank.max(initial=0)).bit_length()
     Delta = np.broadcast_to(np.eye(3), (n, width, 3, 3)).copy()
-    J = np.zeros((n, width, 3, 12 if with_matrix else 3))
+    J: Array = np.zeros((n, width, 3, 12 if with_matrix else 3))
     J_r = rotation.right_jacobian(-theta)
     Delta[interval, rank] = rotation.exp(-theta)
     J[interval, rank, :, :3] = dt[:, None, None] * J_r

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_GENERATORS = np.zeros((3, 3, 3))
+_GENERATORS: Array = np.zeros((3, 3, 3))
 _GENERATORS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0
 _GENERATORS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0
 _GENERATORS = np.ascontiguousarray(_GENERATORS.transpose(2, 0, 1).reshape(3, 9))

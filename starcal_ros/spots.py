@@ -79,9 +79,9 @@ class SpotTracker:
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._last_ns = 0
         self._turn, self._dt = np.eye(3), 1.0           # the last one seen, and its time [s]
-        self._w = np.empty((0, 3))                      # the tracks: direction at the last frame,
+        self._w: Array = np.empty((0, 3))               # the tracks: direction at the last frame,
         self._number = np.empty(0, np.int64)            # number,
-        self._missed = np.empty(0, np.int64)            # frames without a spot
+        self._missed: NDArray[np.int64] = np.empty(0, np.int64)     # frames without a spot
         self._next = 0
 
     def follow(self, frames: Frames, gyro: GyroSamples | None = None) -> Followed:
@@ -133,7 +133,7 @@ class SpotTracker:
         """Return the track of each spot of one frame, and the turn that they show."""
         carried = self._w @ turn.T
         shown = _correction(carried, w_s, 2.0 * self._gate)
-        found = np.empty((0, 2), np.int64)
+        found: NDArray[np.int64] = np.empty((0, 2), np.int64)
         taken: NDArray[np.bool_] = np.zeros(len(w_s), np.bool_)
         if shown is not None:
             turn, carried = shown @ turn, carried @ shown.T

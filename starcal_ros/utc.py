@@ -3,6 +3,22 @@
 """UTC as people write it."""
 
 from datetime import datetime, timedelta, timezone
+import re
+
+_DECIMALS = re.compile(r'\.(\d+)')
+
+
+def parse(text: str) -> datetime:
+    """Return an ISO 8601 time with any number of decimals; aware where it states a zone but Z.
+
+    Raises
+    ------
+    ValueError
+        Where it is not such a time.
+    """
+    # Python 3.10 knows no Z, and 3 or 6 decimals only.
+    return datetime.fromisoformat(_DECIMALS.sub(lambda part: f'.{part[1]:0<6.6}',
+                                                text.removesuffix('Z')))
 
 
 def unix_ns(text: str) -> int:
@@ -13,7 +29,7 @@ def unix_ns(text: str) -> int:
     ValueError
         Where it is not such a time.
     """
-    when = datetime.fromisoformat(text.removesuffix('Z'))       # Python 3.10 knows no Z
+    when = parse(text)
     if when.tzinfo is None:
         when = when.replace(tzinfo=timezone.utc)
     return (when - datetime(1970, 1, 1, tzinfo=timezone.utc)) // timedelta(microseconds=1) * 1000

@@ -235,7 +235,8 @@ def test_a_shipped_file_that_is_not_there_is_named():
 @pytest.mark.parametrize('text, seconds', [
     ('1970-01-01', 0.0), ('1970-01-02T00:00:00', 86400.0), ('2001-09-09T01:46:40', 1e9),
     ('1970-01-01T01:00:00+01:00', 0.0), ('1969-12-31T23:59:59.5', -0.5),
-    ('1970-01-01T00:00:00Z', 0.0)])
+    ('1970-01-01T00:00:00Z', 0.0), ('1970-01-01T00:00:00.25Z', 0.25),
+    ('1970-01-01T01:00:00.1234567+01:00', 0.123456)])
 def test_a_stamp_is_unix_time_in_utc(text, seconds):
     assert config.stamp_ns('key', text) == round(seconds * 1e9)
 

@@ -111,7 +111,9 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     bias, C_sg, intrinsics = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 7))
     sigma, root = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
     nis = np.empty(n)
-    uv_raster, residual, accepted = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty(0, bool)]
+    uv_raster: list[Array] = [np.empty((0, 2))]
+    residual: list[Array] = [np.empty((0, 2))]
+    accepted: list[NDArray[np.bool_]] = [np.empty(0, bool)]
     rows = 0
     for row, frame in enumerate(stream.process()):
         estimate, rows = frame.belief.estimate, row + 1

@@ -205,7 +205,7 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
     shape = (len(frames), len(counts), int(counts.max(initial=0)))
     padded = Stars(np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3)).copy(), np.zeros((*shape, 2)),
                    np.full(shape, np.inf))
-    u_i = np.empty((0, 3))
+    u_i: Array = np.empty((0, 3))
     for run, part in enumerate(frames):
         known = run > 0 and np.array_equal(part.catalog_id, frames[run - 1].catalog_id)
         if not known:

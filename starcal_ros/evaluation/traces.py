@@ -115,7 +115,7 @@ def of(scenario: Scenario, runs: int, work: Path,
 def bounds_of_second_half(scenario: Scenario) -> Array:
     """Return the bound on the covariance at `_BOUNDS` times of the second half, (_, 16, 16)."""
     return bounds.after(scenario, np.linspace(
-        0.5, 1.0, _BOUNDS) * scenario.simulation.duration_s)
+        0.5, 1.0, _BOUNDS, dtype=np.float64) * scenario.simulation.duration_s)
 
 
 def _traced(scenario: Scenario, runs: int, on_progress: Callable[[float], None]) -> Traces:

@@ -141,7 +141,7 @@ def _common_shape(stamps: Callable[[Rows, int], tuple[Stamps, Mask]], spots: Spo
         if good.sum() < _LEAST_SHAPE_SPOTS:
             break
         place[row[good]] = (cut.middle + found.offset)[good]
-        measured_gain = 1.0 / max(np.median(found.shot[good]), _LEAST_SHOT)
+        measured_gain = 1.0 / max(float(np.median(found.shot[good])), _LEAST_SHOT)
         last, shape = shape, found.shape
         if np.abs(shape.moments - last.moments).max() < _SETTLED * np.trace(shape.moments):
             break

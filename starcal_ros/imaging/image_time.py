@@ -15,6 +15,8 @@ from typing import Any
 
 from PIL import Image
 
+from starcal_ros.utc import parse
+
 _EXIF, _GPS = 0x8769, 0x8825                        # directories of a picture's tags
 _ORIGINAL, _ORIGINAL_OFFSET, _ORIGINAL_FRACTION = 36867, 36881, 37521
 _GPS_TIME, _GPS_DATE = 7, 29
@@ -71,11 +73,10 @@ def of_fits(header: Mapping[str, Any]) -> datetime | None:
 
 def _iso_time(value: object) -> datetime | None:
     """Read an ISO 8601 time in UTC with any number of decimals; a date alone stays naive."""
-    text = str(value).strip().removesuffix('Z')
-    whole, _, fraction = text.partition('.')
+    text = str(value).strip()
     try:
-        when = datetime.fromisoformat(whole) + _seconds(fraction)
-    except (ValueError, OverflowError):
+        when = parse(text)
+    except ValueError:
         return None
     return when if len(text) == _DATE_LENGTH else when.replace(tzinfo=timezone.utc)
 

@@ -172,7 +172,7 @@ def _shapes(terms: _Terms, shape: Shape) -> tuple[Array, Array, Array]:
     """Return how trail (n, 2) and moments (n, 2, 2) differ, Eq. (C.2), and the sigma of these."""
     image, flux = terms.image, terms.flux
     columns, residual, weight = terms.columns[:, :-1], terms.residual[:, :-1], terms.weight[:, :-1]
-    trail = np.zeros((len(flux), 2))
+    trail: Array = np.zeros((len(flux), 2))
     if shape.trail.any():
         by_trail = np.stack([flux * part for part in image.by_trail()], axis=-1)
         trail = _solve(np.concatenate((columns, by_trail), axis=-1), residual, weight)[0][:, 5:]

@@ -88,7 +88,7 @@ class Stamps(NamedTuple):
         full = saturated[at] & inside
         return cls(middle, counts[at].astype(float), inside & ~full,
                    noise[middle[:, 1], middle[:, 0]].astype(float), full.any(axis=(1, 2)),
-                   ~inside.all(axis=(1, 2)))
+                   np.asarray((~inside).any(axis=(1, 2))))
 
     def take(self, rows: Rows) -> Stamps:
         """Return some of the stamps."""

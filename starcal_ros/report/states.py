@@ -50,7 +50,9 @@ def rows(result: dict[str, Any], truth: dict[str, Any] | None) -> list[Row]:
     Fixed angles are in degrees, their error, the small rotation Psi away from the truth, and its
     sigma in arcsec.
     """
-    estimate, error, true = _values(result), np.full(13, np.nan), np.full(13, np.nan)
+    estimate = _values(result)
+    error: Array = np.full(13, np.nan)
+    true: Array = np.full(13, np.nan)
     if truth is not None:
         true = _values(truth)
         error = estimate - true

@@ -40,7 +40,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
               np.full_like(minutes, 0.5 * (expected.high - expected.low))),
         Curve(minutes, results.nees.mean(axis=0), f'{runs} runs')))
     low, high = consistency.rms_interval(runs, 0.95)
-    states = np.arange(1.0, N_STATES + 1.0)
+    states = np.arange(1, N_STATES + 1).astype(np.float64)
     ratio = Panel('RMS over bound at the end', 'state, in the order of the table', 'ratio', (
         Curve(states, np.full_like(states, 0.5 * (low + high)), '95 % of an efficient filter',
               'limit', np.full_like(states, 0.5 * (high - low))),

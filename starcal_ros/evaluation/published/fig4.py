@@ -31,7 +31,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     error = traces.of(scenario, runs, work, on_progress).error[:, -1, LENS]
     truth = Truth.from_scenario(scenario)
     true, pitch_mm = truth.intrinsics, truth.detector.pitch_mm
-    u, v = (np.linspace(-0.5, 0.5, _SIDE) * size
+    u, v = (np.linspace(-0.5, 0.5, _SIDE, dtype=np.float64) * size
             for size in (truth.detector.width, truth.detector.height))
     place = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 

@@ -30,7 +30,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     scenario = scenario.replace({table4.KEY: SIGMA_PX, 'simulation.duration_s': duration_s})
     results, = montecarlo.run(Study(scenario, runs), work, on_progress=on_progress)
     time, period = results.time[0], 1.0 / scenario.star_tracker.rate_hz
-    hours: Array = np.arange(1.0, HOURS + 1.0) * (duration_s / HOURS / 3600.0)
+    hours: Array = np.arange(1, HOURS + 1).astype(np.float64) * (duration_s / HOURS / 3600.0)
     taken = np.argmin(abs(time - (3600.0 * hours - period)[:, None]), axis=1)
     which = [STATE_NAMES.index(name) for name in STATES]
     rms = np.sqrt(np.mean(results.error[:, taken]**2, axis=0))[:, which] / UNIT[which]

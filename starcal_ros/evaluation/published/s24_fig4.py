@@ -58,7 +58,8 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
         for label, history in ways.items():
             away = np.abs(history - end) * 1e3
             rms = np.sqrt(np.mean(away**2, axis=1))
-            curves.append(Curve(np.arange(1.0, len(rms)), np.maximum(rms[1:], 1e-6), label))
+            step = np.arange(1, len(rms)).astype(np.float64)
+            curves.append(Curve(step, np.maximum(rms[1:], 1e-6), label))
             settled = np.maximum.accumulate(away[::-1], axis=0)[::-1] <= _REACHED_UM
             first = np.where(settled.any(axis=0), settled.argmax(axis=0), len(history))
             rows.append((name, label, float(np.median(first)), float(first.max()),
