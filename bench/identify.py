@@ -15,11 +15,11 @@ from time import perf_counter
 
 import numpy as np
 
-from starcal_ros import rotation
-from starcal_ros.camera import Detector
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import Detector
 from starcal_ros.evaluation.identification import Score, Viewer, score
-from starcal_ros.imaging.camera_guess import CameraGuess
-from starcal_ros.imaging.identify import Identifier
+from starcal_ros.identification.camera_guess import CameraGuess
+from starcal_ros.identification.identifier import Identifier
 
 DETECTOR = Detector(1024, 1024, 0.00645)
 TRUE = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])

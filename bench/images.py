@@ -16,10 +16,10 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.camera import Detector
-from starcal_ros.config_image import CentroidConfig, ImageConfig
-from starcal_ros.imaging.centroid import extract
-from starcal_ros.simulation import smear
+from starcal_ros.config.image import CentroidConfig, ImageConfig
+from starcal_ros.core.camera import Detector
+from starcal_ros.imaging.centroids import extract
+from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.render import Renderer
 
 Array = NDArray[np.float64]

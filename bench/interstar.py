@@ -3,9 +3,9 @@
 """Time of S24's equations: `OPENBLAS_NUM_THREADS=1 python bench/interstar.py`.
 
 As written: all NF (NF - 1) NS (NS - 1) / 4 rows of A and e (S24 Eq. 11, 12), then A'A and A'e.
-Reduced: the same two from sums over stars and frames (`starcal_ros.interstar_complete`), rounds
-batched. Both begin with the directions of the spots and their derivatives; the best of several
-tries.
+Reduced: the same two from sums over stars and frames (`calibration.interstar_complete`),
+rounds batched. Both begin with the directions of the spots and their derivatives; the best of
+several tries.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import interstar
-from starcal_ros.evaluation.self2024 import (METHODS, PITCH_MM, TRUTH, Point, run_file, scenes,
-                                             spots)
-from starcal_ros.interstar_complete import normal_equations
+from starcal_ros.calibration import interstar_equations as interstar
+from starcal_ros.calibration.interstar_complete import normal_equations
+from starcal_ros.reproduction.self2024 import (METHODS, PITCH_MM, TRUTH, Point, run_file, scenes,
+                                               spots)
 
 Array = NDArray[np.float64]
 

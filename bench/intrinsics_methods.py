@@ -18,12 +18,13 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import attitude_free, rotation
-from starcal_ros.attitude_free import Belief, Measurement
-from starcal_ros.evaluation.wu2019 import (DETECTOR, LENS, METHODS, PRECISION, SIGMA_PX,
-                                           START_SIGMA, TRUTH)
-from starcal_ros.measurements import Stars
-from starcal_ros.published_cameras import unproject_w19
+from starcal_ros.calibration import attitude_free
+from starcal_ros.calibration.attitude_free import Belief, Measurement
+from starcal_ros.core import rotation
+from starcal_ros.measurements.samples import Stars
+from starcal_ros.reproduction.published_cameras import unproject_w19
+from starcal_ros.reproduction.wu2019 import (DETECTOR, LENS, METHODS, PRECISION, SIGMA_PX,
+                                             START_SIGMA, TRUTH)
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,9 @@ import sys
 import tempfile
 import time
 
-from starcal_ros import demo, parameter_file, resources
-from starcal_ros.config import Scenario
+from starcal_ros.cli import processes as demo
+from starcal_ros.config import parameter_file, shipped as resources
+from starcal_ros.config.scenario import Scenario
 
 DURATION_S = 600.0
 REAL_TIME_S = 20.0

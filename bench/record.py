@@ -8,17 +8,17 @@ library, which only hands out the bytes of each message.
 
 from __future__ import annotations
 
+from pathlib import Path
 import sys
 import tempfile
-from pathlib import Path
 from time import perf_counter
 
-import numpy as np
 from mcap.reader import make_reader
+import numpy as np
 
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.record import FRAMES_TOPIC, GYRO_TOPIC, read, summary
-from starcal_ros.record_writer import Writer, centroids_batch, imu_batch
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, read, summary
+from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
 
 HOURS, GYRO_HZ, FRAME_HZ, STARS = 2, 100, 2, 25
 START_NS = 1_782_993_600_000_000_000

@@ -1,11 +1,12 @@
 """Calibrate your own star tracker and gyros live and record the run."""
 
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -1,10 +1,11 @@
 """Play a recording back and calibrate from it as if it were live."""
 
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 # A recording has absolute names; relative ones stand in the namespace.
 TOPICS = [(f'/{name}', name) for name in (

@@ -48,7 +48,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.catalog import from_records, read_hip2, SHIPPED_LIMIT
+from starcal_ros.sky.catalog import SHIPPED_LIMIT, from_records, read_hip2
 
 DESTINATION = Path(__file__).parents[1] / 'starcal_ros' / 'data' / 'hipparcos2_hp8.npy'
 
@@ -78,7 +78,7 @@ def misses_arcsec(records: NDArray[np.void], years: float = 8.75,
 
     Parameters
     ----------
-    records : (n,) array of starcal_ros.catalog.RECORD
+    records : (n,) array of starcal_ros.sky.apparent.catalog.RECORD
         The full catalogue.
     years : float
         From its epoch to J2000.

@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros import cdr, cdr_cloud
+from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
 
 PATIENCE_S = 60.0
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import catalog, parameter_file, rotation, sky
-from starcal_ros.acquisition import MIN_STARS, AcquisitionError, acquire
-from starcal_ros.estimator import CALIBRATED, SCALE, SIGMA_ACQUIRED, THETA, Filter, Nominal
-from starcal_ros.measurements import Stars
-from starcal_ros.scenario import observer
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import observer
+from starcal_ros.core import rotation
+from starcal_ros.core.units import DEG
+from starcal_ros.filter.acquisition import MIN_STARS, AcquisitionError, acquire
+from starcal_ros.filter.error_state import (CALIBRATED, SCALE, SIGMA_ACQUIRED, THETA, Filter,
+                                            Nominal)
+from starcal_ros.measurements.samples import Stars
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.units import DEG
+from starcal_ros.sky import apparent as sky, catalog
 
 # Truth against nominal: 374 arcsec of mounting, 11 px, 0.1 mm, and the distortion of T18 Table 1.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')

@@ -7,9 +7,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from starcal_ros import camera, invariants, rotation
-from starcal_ros.calibration import angular_distance
-from starcal_ros.measurements import Stars
+from starcal_ros.calibration import invariants
+from starcal_ros.calibration.methods import angular_distance
+from starcal_ros.core import camera, rotation
+from starcal_ros.measurements.samples import Stars
 
 PITCH = 0.00645
 T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])

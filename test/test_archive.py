@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from starcal_ros.archive import Archive, ArchiveError
+from starcal_ros.results.store import Archive, ArchiveError
 
 FILES = {'result.json': '{}\n', 'imu.yaml': 'rate: 1.0\n'}
 
@@ -18,7 +18,7 @@ import os
 import signal
 import sys
 from pathlib import Path
-from starcal_ros.archive import Archive
+from starcal_ros.results.store import Archive
 
 
 class Files(dict):

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import attitude_free, camera, catalog, invariants, rotation, sky
-from starcal_ros.attitude_free import AttitudeFree, Belief
-from starcal_ros.calibration import angular_distance, singular_value
-from starcal_ros.config import Scenario
-from starcal_ros.measurements import Frames, Stars
-from starcal_ros.scenario import observer
+from starcal_ros.calibration import attitude_free, invariants
+from starcal_ros.calibration.attitude_free import AttitudeFree, Belief
+from starcal_ros.calibration.methods import angular_distance, singular_value
+from starcal_ros.config.models import observer
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import camera, rotation
+from starcal_ros.measurements.samples import Frames, Stars
+from starcal_ros.sky import apparent as sky, catalog
 
 PITCH = 0.00645
 T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])

@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import augmentation, kalman, parameter_file, ros_conventions, rotation
-from starcal_ros.estimator import (AUGMENTED, MATRIX, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
-                                   THETA, Belief, Filter, Nominal)
-from starcal_ros.measurements import Stars
-from starcal_ros.measurements import GyroSamples
-from starcal_ros.preintegration import Preintegrated, preintegrate
-from starcal_ros.result import result
+from starcal_ros.config import parameter_file
+from starcal_ros.core import kalman, rotation
+from starcal_ros.filter import augmentation
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import (AUGMENTED, MATRIX, N_STATES, PHI, PSI, SCALE,
+                                            STATE_NAMES, THETA, Belief, Filter, Nominal)
+from starcal_ros.filter.verdict import judge
+from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
+from starcal_ros.measurements.samples import GyroSamples, Stars
+from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
-from starcal_ros.stream import Stream
-from starcal_ros.verdict import judge
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 MATRIX_ON = {'estimator.augment.gyro_matrix_sigma_ppm': 1000.0}

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import parameter_file
-from starcal_ros.bootstrap import bootstrap
 from starcal_ros.cli import main
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.result import CalibrationError
-from starcal_ros.simulate import simulate
+from starcal_ros.config import parameter_file
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.results.result import CalibrationError
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.simulation.write_recording import simulate
+from starcal_ros.workflows.bootstrap import bootstrap
 
 pytest.importorskip('tetra3rs')
 

@@ -10,11 +10,14 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from starcal_ros import bundle, calibration, camera, parameter_file, rotation
-from starcal_ros.bundle import Spots, adjust
-from starcal_ros.bundle_start import attitudes
-from starcal_ros.calibration import bundle as bundle_method
-from starcal_ros.measurements import GyroSamples
+from starcal_ros import calibration
+from starcal_ros.calibration import bundle_adjustment as bundle
+from starcal_ros.calibration.bundle_adjustment import Spots, adjust
+from starcal_ros.calibration.bundle_start import attitudes
+from starcal_ros.calibration.methods import bundle as bundle_method
+from starcal_ros.config import parameter_file
+from starcal_ros.core import camera, rotation
+from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation import sensors
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'

@@ -9,17 +9,20 @@ import erfa
 import numpy as np
 import pytest
 
-from starcal_ros import parameter_file, record, rotation, sky
-from starcal_ros.calibration.predicted_centroid import calibrate
-from starcal_ros.camera import INTRINSICS_KEYS
-from starcal_ros.config import stamp_ns
-from starcal_ros.estimator import CALIBRATED, PHI, STATE_NAMES
-from starcal_ros.result import result
-from starcal_ros.simulate import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT, simulate
+from starcal_ros.calibration.methods.predicted_centroid import calibrate
+from starcal_ros.config import parameter_file
+from starcal_ros.config.scenario import stamp_ns
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import CALIBRATED, PHI, STATE_NAMES
+from starcal_ros.recording import reader as record
+from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import Stream
-from starcal_ros.units import ARCSEC, DEG, DEG_PER_HOUR
+from starcal_ros.simulation.write_recording import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT, simulate
+from starcal_ros.sky import apparent as sky
 
 TOP = Path(__file__).resolve().parents[1]
 EXTERNAL = TOP.parent / 'shared' / 'data' / 'external_tan2018'

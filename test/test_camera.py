@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from starcal_ros import camera, rotation
+from starcal_ros.core import camera, rotation
 
 PITCH = 0.00645
 T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])      # T18 Table 1

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 
-from starcal_ros import catalog
-from starcal_ros.catalog import Catalog, load, load_containing, read_hip2
+from starcal_ros.sky import catalog
+from starcal_ros.sky.catalog import Catalog, load, load_containing, read_hip2
 
 SIRIUS, POLARIS, BARNARD = 32349, 11767, 87937
 UNUSED_NUMBER = 120417  # the input catalogue went up to 120416

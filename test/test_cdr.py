@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from starcal_ros import cdr_cloud
-from starcal_ros.cdr import IMU_TYPE, Messages, RecordError, decode_imu, encode_imu
-from starcal_ros.cdr_cloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
-                                   with_numbers)
-from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.messages import cdr_pointcloud as cdr_cloud
+from starcal_ros.messages.cdr import IMU_TYPE, Messages, RecordError, decode_imu, encode_imu
+from starcal_ros.messages.cdr_pointcloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
+                                                 with_numbers)
 
 STORE = get_typestore(Stores.ROS2_KILTED)
 TYPES = STORE.types

@@ -4,10 +4,11 @@
 
 import numpy as np
 import pytest
+from test_cdr import STORE, TYPES, header
 
-from starcal_ros.cdr import RecordError
-from starcal_ros.cdr_image import IMAGE_TYPE, ImageMessageError, decode_image, encode_image
-from test_cdr import header, STORE, TYPES
+from starcal_ros.messages.cdr import RecordError
+from starcal_ros.messages.cdr_image import (IMAGE_TYPE, ImageMessageError, decode_image,
+                                            encode_image)
 
 STAMP_NS = 1_782_993_600_250_000_000
 PIXELS = np.arange(4 * 5, dtype=np.uint16).reshape(4, 5) * 3001

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from starcal_ros.camera import Detector
-from starcal_ros.config_image import CentroidConfig, ImageConfig
+from starcal_ros.config.image import CentroidConfig, ImageConfig
+from starcal_ros.core.camera import Detector
 from starcal_ros.imaging.background import background
-from starcal_ros.imaging.centroid import BLENDED, EDGE, ELONGATED, SATURATED, extract
+from starcal_ros.imaging.centroids import BLENDED, EDGE, ELONGATED, SATURATED, extract
+from starcal_ros.imaging.cutouts import Shape
 from starcal_ros.imaging.files import image_files, load
-from starcal_ros.imaging.stamps import Shape
 from starcal_ros.simulation.render import Renderer
 
 DETECTOR = Detector(512, 512, 0.00645)

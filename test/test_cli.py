@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 
 import starcal_ros
-from starcal_ros import parameter_file, record, restart
-from starcal_ros.archive import Archive
 from starcal_ros.cli import main
-from starcal_ros.record_writer import Writer, centroids_batch, imu_batch
+from starcal_ros.config import parameter_file
+from starcal_ros.recording import reader as record
+from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
+from starcal_ros.results import initial as restart
+from starcal_ros.results.store import Archive
 from starcal_ros.simulation import sensors
 
 TOP = Path(__file__).resolve().parents[1]

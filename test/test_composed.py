@@ -12,15 +12,18 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
-from std_srvs.srv import Trigger                                    # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
-from peer import PATIENCE_S, Peer                                   # noqa: E402
-from starcal_ros import demo, parameter_file, record, rotation      # noqa: E402
-from starcal_ros.calibration import predicted_centroid              # noqa: E402
-from starcal_ros.nodes import programs                           # noqa: E402
-from starcal_ros.nodes.composed import NODES, node_class            # noqa: E402
-from starcal_ros.simulation import sensors                          # noqa: E402
-from starcal_ros.units import ARCSEC, DEG                           # noqa: E402
+from peer import PATIENCE_S, Peer  # noqa: E402
+from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
+from starcal_ros.cli import processes as demo  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.core import rotation  # noqa: E402
+from starcal_ros.core.units import ARCSEC, DEG  # noqa: E402
+from starcal_ros.nodes import programs  # noqa: E402
+from starcal_ros.nodes.composed import NODES, node_class  # noqa: E402
+from starcal_ros.recording import reader as record  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 60.0, 'simulation.real_time_factor': 0.0,

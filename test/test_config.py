@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from starcal_ros import config, parameter_file, resources, rotation, scenario
-from starcal_ros.parameter import ConfigError
-from starcal_ros.units import ARCSEC
+from starcal_ros.config import (models as scenario, parameter_file, scenario as config,
+                                shipped as resources)
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core import rotation
+from starcal_ros.core.units import ARCSEC
 
 EXTERNAL = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'external_tan2018'
 HEAD = '/**:\n  ros__parameters:\n'

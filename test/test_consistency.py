@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import camera, parameter_file, rotation
-from starcal_ros.acquisition import AcquisitionError
-from starcal_ros.estimator import CALIBRATED, EPSILON, UNIT, Filter
+from starcal_ros.config import parameter_file
+from starcal_ros.core import camera, rotation
 from starcal_ros.evaluation import bounds, consistency, montecarlo
 from starcal_ros.evaluation.batch import run_batch
 from starcal_ros.evaluation.bounds import cramer_rao
-from starcal_ros.measurements import Frames
-from starcal_ros.places import Places
+from starcal_ros.filter.acquisition import AcquisitionError
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import CALIBRATED, EPSILON, UNIT, Filter
+from starcal_ros.measurements.samples import Frames
+from starcal_ros.measurements.star_directions import Places
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import Stream
 
 # Once through the rotations, after which the initial sigmas count for nothing.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(

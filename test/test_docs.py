@@ -13,7 +13,7 @@ import textwrap
 
 import pytest
 
-from starcal_ros import parameter_file
+from starcal_ros.config import parameter_file
 
 TOP = Path(__file__).parents[1]
 PAGES = sorted((TOP / 'docs').rglob('*.md'))

@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from starcal_ros import (camera, catalog, config, parameter_file, resources, rotation, scenario,
-                         sky)
-from starcal_ros.config_truth import TrueObserverConfig
-from starcal_ros.parameter import ConfigError
-from starcal_ros.simulation import hot_pixels, sensors, smear
+from starcal_ros.config import (models as scenario, parameter_file, scenario as config,
+                                shipped as resources)
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.truth import TrueObserverConfig
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.errors import hot_pixels, smear
 from starcal_ros.simulation.process import Process
 from starcal_ros.simulation.randomness import stream
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
+from starcal_ros.sky import apparent as sky, catalog
 
 TAN2018 = parameter_file.load(resources.config_file('tan2018.yaml'))
 QUIET = TAN2018.replace({'truth.gyro.arw_deg_sqrt_h': 0.0,

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import camera, config, parameter_file, rotation
-from starcal_ros.estimator import (CALIBRATED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE,
-                                   SIGMA_ACQUIRED, STATE_NAMES, STATE_UNITS, THETA, UNIT, Belief,
-                                   Filter, Nominal)
-from starcal_ros.measurements import Stars
-from starcal_ros.measurements import GyroSamples
-from starcal_ros.preintegration import Preintegrated, preintegrate
+from starcal_ros.config import parameter_file, scenario as config
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import (CALIBRATED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE,
+                                            SIGMA_ACQUIRED, STATE_NAMES, STATE_UNITS, THETA, UNIT,
+                                            Belief, Filter, Nominal)
+from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
+from starcal_ros.measurements.samples import GyroSamples, Stars
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import Stream
-from starcal_ros.units import ARCSEC, DEG, DEG_PER_HOUR
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 FILTER = Filter(SCENARIO)

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
-from starcal_ros import camera, export, parameter_file, ros_conventions, rotation
-from starcal_ros.camera import INTRINSICS_KEYS
-from starcal_ros.scenario import detector
-from starcal_ros.units import DEG_PER_HOUR
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import detector
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.units import DEG_PER_HOUR
+from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.results import export
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 INTRINSICS = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 3e-5])

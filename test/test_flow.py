@@ -1,12 +1,12 @@
 """Nothing is lost between processes, however slow a subscriber is."""
 
+from collections.abc import Iterator
 import json
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -17,9 +17,9 @@ PUBLISHER = """
 import sys
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
-from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
-from starcal_ros.nodes.pacing import Feed, SimulatedClock
-from starcal_ros.nodes.runtime import run
+from starcal_ros.nodes.base.flow import FlowPublisher, when_subscribed
+from starcal_ros.nodes.base.pacing import Feed, SimulatedClock
+from starcal_ros.nodes.base.run_loop import run
 
 
 class Numbers(Node):
@@ -62,8 +62,8 @@ import sys
 import time
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
-from starcal_ros.nodes.flow import MatchedSubscription
-from starcal_ros.nodes.runtime import run
+from starcal_ros.nodes.base.flow import MatchedSubscription
+from starcal_ros.nodes.base.run_loop import run
 
 
 class Listener(Node):

@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from starcal_ros.config import Scenario
-from starcal_ros.imaging.centroid import EDGE, ELONGATED, extract, SATURATED
-from starcal_ros.imaging.frame import LEFT_OUT, SpotMeter
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.imaging.centroids import EDGE, ELONGATED, SATURATED, extract
+from starcal_ros.imaging.spot_meter import LEFT_OUT, SpotMeter
 from starcal_ros.simulation.render import Renderer
 
 STAMP_NS = 1_782_993_600_250_000_000

@@ -9,16 +9,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from starcal_ros import catalog, rotation
-from starcal_ros.camera import Detector
-from starcal_ros.config_image import CentroidConfig
+from starcal_ros.config.image import CentroidConfig
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import Detector
 from starcal_ros.evaluation.identification import Viewer, score
-from starcal_ros.imaging import star_patterns
-from starcal_ros.imaging.camera_guess import CameraGuess
-from starcal_ros.imaging.centroid import extract
+from starcal_ros.identification import patterns as star_patterns
+from starcal_ros.identification.camera_guess import CameraGuess
+from starcal_ros.identification.identifier import MODEL_SIGMA_PX, Identifier, MirroredError
+from starcal_ros.identification.matching import View
+from starcal_ros.imaging.centroids import extract
 from starcal_ros.imaging.files import image_files, load
-from starcal_ros.imaging.identify import MODEL_SIGMA_PX, Identifier, MirroredError
-from starcal_ros.imaging.matching import View
+from starcal_ros.sky import catalog
 
 pytest.importorskip('tetra3rs')
 

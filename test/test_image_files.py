@@ -4,10 +4,10 @@
 
 from pathlib import Path
 
+from PIL import Image
+from astropy.io import fits
 import numpy as np
 import pytest
-from astropy.io import fits
-from PIL import Image
 
 from starcal_ros.imaging.files import ImageFileError, image_files, load
 

@@ -14,22 +14,24 @@ import pytest
 rclpy = pytest.importorskip('rclpy')
 pytest.importorskip('tetra3rs')
 
-from lifecycle_msgs.msg import Transition                           # noqa: E402
-from lifecycle_msgs.srv import ChangeState                          # noqa: E402
-from rclpy.duration import Duration                                 # noqa: E402
-from sensor_msgs.msg import Image, PointCloud2                      # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
+from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
 
-from peer import PATIENCE_S                                         # noqa: E402
-from starcal_ros import cdr, parameter_file, rotation               # noqa: E402
-from starcal_ros.cdr import Messages                                # noqa: E402
-from starcal_ros.cdr_cloud import decode_centroids, encode_centroids        # noqa: E402
-from starcal_ros.cdr_image import encode_image, IMAGE_TYPE          # noqa: E402
-from starcal_ros.imaging.frame import SpotMeter                     # noqa: E402
-from starcal_ros.measurements import Frames                         # noqa: E402
-from starcal_ros.nodes.star_identifier import StarIdentifier        # noqa: E402
-from starcal_ros.record_writer import Writer                        # noqa: E402
-from starcal_ros.simulation import sensors                          # noqa: E402
-from starcal_ros.simulation.truth import Truth                      # noqa: E402
+from peer import PATIENCE_S  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.core import rotation  # noqa: E402
+from starcal_ros.imaging.spot_meter import SpotMeter  # noqa: E402
+from starcal_ros.measurements.samples import Frames  # noqa: E402
+from starcal_ros.messages import cdr  # noqa: E402
+from starcal_ros.messages.cdr import Messages  # noqa: E402
+from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image  # noqa: E402
+from starcal_ros.messages.cdr_pointcloud import decode_centroids, encode_centroids  # noqa: E402
+from starcal_ros.nodes.star_identifier import StarIdentifier  # noqa: E402
+from starcal_ros.recording.writer import Writer  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
+from starcal_ros.simulation.truth import Truth  # noqa: E402
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 15.0, 'simulation.real_time_factor': 0.0, 'motion.dwell_s': 3.0,

@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import parameter_file, record
-from starcal_ros.camera import INTRINSICS_KEYS
-from starcal_ros.cdr import RecordError
-from starcal_ros.cdr_cloud import encode_centroids
-from starcal_ros.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.cli import main
-from starcal_ros.config import Scenario
-from starcal_ros.imaging.recorded import measure
-from starcal_ros.record_writer import Writer
-from starcal_ros.simulate import simulate
+from starcal_ros.config import parameter_file
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.messages.cdr import RecordError
+from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
+from starcal_ros.messages.cdr_pointcloud import encode_centroids
+from starcal_ros.recording import reader as record
+from starcal_ros.recording.measured_images import measure
+from starcal_ros.recording.writer import Writer
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.simulation.write_recording import simulate
 
 # T18's field and lens on few, large pixels, hardly at rest; the focal length believed 10 % less.
 SCENARIO = Scenario().replace({

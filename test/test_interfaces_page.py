@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 import re
 
-from starcal_ros import config
+from starcal_ros.config import scenario as config
 
 TOP = Path(__file__).parents[1]
 NODES = TOP / 'starcal_ros' / 'nodes'
@@ -34,7 +34,8 @@ def test_every_parameter_that_may_change_is_named():
 
 
 def test_every_topic_and_service_is_named():
-    topics = {node.args[0].value for node in ast.walk(ast.parse((NODES / 'topics.py').read_text()))
+    tree = ast.parse((NODES / 'base' / 'topics.py').read_text())
+    topics = {node.args[0].value for node in ast.walk(tree)
               if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'Topic'}
     assert len(topics) >= 14
     for topic in topics:

@@ -8,11 +8,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from starcal_ros import camera, interstar
+from starcal_ros.calibration import interstar_equations as interstar
+from starcal_ros.calibration.interstar_complete import normal_equations
+from starcal_ros.core import camera
 from starcal_ros.evaluation import consistency
-from starcal_ros.evaluation.self2024 import (LARGEST, PITCH_MM, START, TRUTH, Point, evaluate,
-                                             scenes, spots)
-from starcal_ros.interstar_complete import normal_equations
+from starcal_ros.reproduction.self2024 import (LARGEST, PITCH_MM, START, TRUTH, Point, evaluate,
+                                               scenes, spots)
 
 POINT = Point(frames=9, stars=6)
 DISTORTED = np.array([3.0, -2.0, 24.5, 2e-4, -1e-6, 1e-5, -2e-5])

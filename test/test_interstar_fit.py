@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import calibration, parameter_file
-from starcal_ros.calibration import interstar
-from starcal_ros.camera import INTRINSICS
+from starcal_ros import calibration
+from starcal_ros.calibration.interstar_solver import followed, identified
+from starcal_ros.calibration.methods import interstar
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import intrinsics
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.evaluation import consistency
-from starcal_ros.interstar_fit import followed, identified
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.parameter import ConfigError
-from starcal_ros.scenario import intrinsics
+from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 
 SCENARIO = parameter_file.load(

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import parameter_file, record
-from starcal_ros.calibration import predicted_centroid
-from starcal_ros.camera import INTRINSICS, INTRINSICS_KEYS
-from starcal_ros.camera_estimate import CameraEstimate, beginning
+from starcal_ros.calibration.camera_estimate import CameraEstimate, beginning
+from starcal_ros.calibration.methods import predicted_centroid
 from starcal_ros.cli import main
-from starcal_ros.estimator import LENS, SCALE, Filter
-from starcal_ros.record import RecordError
-from starcal_ros.record_writer import Writer, centroids_batch
+from starcal_ros.config import parameter_file
+from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
+from starcal_ros.filter.error_state import LENS, SCALE, Filter
+from starcal_ros.recording import reader as record
+from starcal_ros.recording.reader import RecordError
+from starcal_ros.recording.writer import Writer, centroids_batch
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 

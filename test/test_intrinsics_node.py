@@ -10,15 +10,16 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
-from sensor_msgs.msg import CameraInfo, PointCloud2                 # noqa: E402
-from std_msgs.msg import Float64MultiArray                          # noqa: E402
+from sensor_msgs.msg import CameraInfo, PointCloud2  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
 
-from peer import LATCHED, PATIENCE_S, Peer                          # noqa: E402
-from starcal_ros import calibration, parameter_file                 # noqa: E402
-from starcal_ros.measurements import GyroSamples                    # noqa: E402
-from starcal_ros.ros_conventions import from_camera_info            # noqa: E402
-from starcal_ros.scenario import detector                           # noqa: E402
-from starcal_ros.simulation import sensors                          # noqa: E402
+from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
+from starcal_ros import calibration  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.config.models import detector  # noqa: E402
+from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
+from starcal_ros.messages.conventions import from_camera_info  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 100.0, 'intrinsics.method': 'angular_distance'})

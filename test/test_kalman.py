@@ -5,10 +5,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
+import pytest
 
-from starcal_ros import kalman
+from starcal_ros.core import kalman
 
 N_STATES, N_PAIRS = 16, 12
 EPS = np.finfo(float).eps

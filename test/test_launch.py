@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from starcal_ros import config
+from starcal_ros.config import scenario as config
 
 TOP = Path(__file__).parents[1]
 FILES = sorted((TOP / 'launch').glob('*.launch.py'))

@@ -12,19 +12,21 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
-from lifecycle_msgs.msg import Transition, TransitionEvent          # noqa: E402
-from lifecycle_msgs.srv import ChangeState, GetState                # noqa: E402
-from rclpy.duration import Duration                                 # noqa: E402
-from rclpy.qos import LivelinessPolicy, QoSProfile                  # noqa: E402
-from std_msgs.msg import Float64MultiArray                          # noqa: E402
-import yaml                                                         # noqa: E402
+from lifecycle_msgs.msg import Transition, TransitionEvent  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
+from rclpy.qos import LivelinessPolicy, QoSProfile  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
+import yaml  # noqa: E402
 
-from peer import LATCHED, PATIENCE_S, Peer                          # noqa: E402
-from starcal_ros import parameter_file, record, ros_conventions     # noqa: E402
-from starcal_ros.calibration import predicted_centroid              # noqa: E402
-from starcal_ros.mcap_file import McapFile                          # noqa: E402
-from starcal_ros.measurements import GyroSamples                    # noqa: E402
-from starcal_ros.simulation import sensors                          # noqa: E402
+from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
+from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
+from starcal_ros.messages import conventions as ros_conventions  # noqa: E402
+from starcal_ros.recording import reader as record  # noqa: E402
+from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 30.0})
@@ -172,9 +174,9 @@ def test_signal_ends_a_node_that_was_never_configured(start_once, peer):
 # A node whose transition fails; argv: the step, the error.
 FAILING = """
 import sys
-from starcal_ros.nodes.managed import ManagedNode
-from starcal_ros.nodes.runtime import run
-from starcal_ros.parameter import ConfigError
+from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.run_loop import run
+from starcal_ros.config.parameter import ConfigError
 
 
 class Failing(ManagedNode):

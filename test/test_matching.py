@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import rotation
-from starcal_ros.camera import Detector
-from starcal_ros.imaging.matching import GATE, Expected, View, chance, expected, fitted, match
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import Detector
+from starcal_ros.identification.matching import (GATE, Expected, View, chance, expected, fitted,
+                                                 match)
 
 DETECTOR = Detector(1024, 1024, 0.00645)
 INTRINSICS = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])

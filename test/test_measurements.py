@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from starcal_ros.measurements import Frames, GyroSamples, newer
+from starcal_ros.measurements.samples import Frames, GyroSamples, newer
 
 
 def same(a, b):

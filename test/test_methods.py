@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import calibration, parameter_file
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.parameter import ConfigError
+from starcal_ros import calibration
+from starcal_ros.config import parameter_file
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 
 T18 = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import cli, parameter_file
-from starcal_ros.estimator import STATE_NAMES
+from starcal_ros import cli
+from starcal_ros.config import parameter_file
+from starcal_ros.config.parameter import ConfigError
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs, run_batch
 from starcal_ros.evaluation.montecarlo import BATCH, Study
-from starcal_ros.parameter import ConfigError
+from starcal_ros.filter.error_state import STATE_NAMES
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 20.0})

@@ -15,24 +15,27 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
-from rcl_interfaces.srv import DescribeParameters, SetParameters                # noqa: E402
-from rclpy.duration import Duration                                             # noqa: E402
-from rclpy.parameter import Parameter                                           # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile                              # noqa: E402
-from sensor_msgs.msg import CameraInfo, Imu                                     # noqa: E402
-from std_srvs.srv import SetBool, Trigger                                       # noqa: E402
-import yaml                                                                     # noqa: E402
+from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+import yaml  # noqa: E402
 
-from peer import PATIENCE_S                                                     # noqa: E402
-from starcal_ros import config, demo, parameter_file, record                    # noqa: E402
-from starcal_ros import ros_conventions, rotation                               # noqa: E402
-from starcal_ros.bag import open_bag                                            # noqa: E402
-from starcal_ros.calibration import predicted_centroid                          # noqa: E402
-from starcal_ros.measurements import Frames, GyroSamples                        # noqa: E402
-from starcal_ros.record_writer import typestore                                 # noqa: E402
-from starcal_ros.simulation import sensors                                      # noqa: E402
-from starcal_ros.simulation.truth import Truth                                  # noqa: E402
-from starcal_ros.units import DEG_PER_SQRT_HOUR                                 # noqa: E402
+from peer import PATIENCE_S  # noqa: E402
+from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
+from starcal_ros.cli import processes as demo  # noqa: E402
+from starcal_ros.config import parameter_file, scenario as config  # noqa: E402
+from starcal_ros.core import rotation  # noqa: E402
+from starcal_ros.core.units import DEG_PER_SQRT_HOUR  # noqa: E402
+from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
+from starcal_ros.messages import conventions as ros_conventions  # noqa: E402
+from starcal_ros.recording import reader as record  # noqa: E402
+from starcal_ros.recording.bag import open_bag  # noqa: E402
+from starcal_ros.recording.writer import typestore  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
+from starcal_ros.simulation.truth import Truth  # noqa: E402
 
 DURATION_S = 60.0
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(

@@ -10,10 +10,11 @@ import pytest
 
 pytest.importorskip('tetra3rs')
 
-from starcal_ros import numbering as numbering_module, parameter_file        # noqa: E402
-from starcal_ros.measurements import Frames, GyroSamples            # noqa: E402
-from starcal_ros.numbering import Numbering                         # noqa: E402
-from starcal_ros.simulation import sensors                          # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.identification import frame_identifier as numbering_module  # noqa: E402
+from starcal_ros.identification.frame_identifier import Numbering  # noqa: E402
+from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
 
 # It turns from the second second on.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(

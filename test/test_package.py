@@ -2,12 +2,12 @@
 
 import importlib.util
 import os
+from pathlib import Path
 import re
 import shutil
 import subprocess
 import sys
 import venv
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest

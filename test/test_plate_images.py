@@ -9,22 +9,24 @@ import json
 from pathlib import Path
 import shutil
 
+from PIL import Image, ImageOps
+from astropy.io import fits
 import numpy as np
 import pytest
-from astropy.io import fits
-from PIL import Image, ImageOps
 from scipy.stats import chi2
 
-from starcal_ros import camera, catalog, plate_images, plates, rotation, sky
-from starcal_ros.camera import Detector
 from starcal_ros.cli import main
-from starcal_ros.config_image import ImageConfig
-from starcal_ros.imaging import star_patterns
-from starcal_ros.refraction import Site, altitude, refracted
-from starcal_ros.ros_conventions import from_camera_info
+from starcal_ros.config.image import ImageConfig
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.camera import Detector
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.identification import patterns as star_patterns
+from starcal_ros.messages.conventions import from_camera_info
 from starcal_ros.simulation.render import Renderer
-from starcal_ros.sky import Observer
-from starcal_ros.utc import unix_ns
+from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky.apparent import Observer
+from starcal_ros.sky.refraction import Site, altitude, refracted
+from starcal_ros.workflows.still_images import calibration as plates, folder as plate_images
 
 pytest.importorskip('tetra3rs')
 

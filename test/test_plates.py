@@ -12,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import camera, catalog, plates, rotation, sky
-from starcal_ros.camera_estimate import CameraEstimate
+from starcal_ros.calibration.camera_estimate import CameraEstimate
 from starcal_ros.cli import main
-from starcal_ros.parameter import ConfigError
-from starcal_ros.ros_conventions import from_camera_info
-from starcal_ros.scenario import detector
-from starcal_ros.utc import unix_ns
+from starcal_ros.config.models import detector
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.messages.conventions import from_camera_info
+from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.workflows.still_images import calibration as plates
 
 SKY = Path(__file__).parents[2] / 'shared' / 'data' / 'real_sky'
 EPOCH = '2018-01-01T00:00:00'

@@ -9,17 +9,17 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
-from builtin_interfaces.msg import Time                             # noqa: E402
-from rosgraph_msgs.msg import Clock                                 # noqa: E402
-from sensor_msgs.msg import Imu                                     # noqa: E402
-from std_msgs.msg import Float64MultiArray                          # noqa: E402
-from std_srvs.srv import Trigger                                    # noqa: E402
+from builtin_interfaces.msg import Time  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import Imu  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
-from peer import LATCHED, PATIENCE_S                                # noqa: E402
-from starcal_ros import parameter_file                              # noqa: E402
-from starcal_ros.nodes.pacing import SimulatedClock                 # noqa: E402
-from starcal_ros.simulate import simulate                           # noqa: E402
-from starcal_ros.simulation.truth import Truth                      # noqa: E402
+from peer import LATCHED, PATIENCE_S  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
+from starcal_ros.simulation.truth import Truth  # noqa: E402
+from starcal_ros.simulation.write_recording import simulate  # noqa: E402
 
 # A gyro so slow that this process can keep up, message by message, at twenty times its speed.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(

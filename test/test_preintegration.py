@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import config, preintegration, rotation
-from starcal_ros.measurements import GyroSamples
-from starcal_ros.preintegration import preintegrate
+from starcal_ros.config import scenario as config
+from starcal_ros.core import rotation
+from starcal_ros.core.units import DEG_PER_SQRT_HOUR
+from starcal_ros.measurements import preintegration
+from starcal_ros.measurements.preintegration import preintegrate
+from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.units import DEG_PER_SQRT_HOUR
 
 PERIOD_NS = 10**7
 START_NS = 1_782_993_600_000_000_000

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import parameter_file, process_noise, rotation
-from starcal_ros.config import ProcessNoiseConfig
-from starcal_ros.estimator import (EPSILON, LENS, N_STATES, PSI, SCALE, STATE_NAMES, THETA, Belief,
-                                   Filter, Nominal)
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.preintegration import Preintegrated, preintegrate
+from starcal_ros.config import parameter_file
+from starcal_ros.config.scenario import ProcessNoiseConfig
+from starcal_ros.core import rotation
+from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
+from starcal_ros.filter import process_noise
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import (EPSILON, LENS, N_STATES, PSI, SCALE, STATE_NAMES,
+                                            THETA, Belief, Filter, Nominal)
+from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
+from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
-from starcal_ros.stream import Stream
-from starcal_ros.units import ARCSEC, DEG_PER_HOUR
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 GROUP = 'estimator.process_noise.'

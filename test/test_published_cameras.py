@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from starcal_ros import camera, published_cameras as published, rotation
+from starcal_ros.core import camera, rotation
+from starcal_ros.reproduction import published_cameras as published
 
 DETECTOR = camera.Detector(1920, 1080, 0.0029)                 # W19 Sec. 4.1
 W19 = np.array([1.0, 16.0, 970.0, 550.0, -0.5, 0.5])           # W19 Table 1

@@ -9,8 +9,9 @@ import shlex
 
 import pytest
 
-from starcal_ros import cli, config
-from starcal_ros.parameter import Parameter
+from starcal_ros import cli
+from starcal_ros.config import scenario as config
+from starcal_ros.config.parameter import Parameter
 
 TOP = Path(__file__).parents[1]
 PAGES = {str(path.relative_to(TOP)): path.read_text()

@@ -3,23 +3,23 @@
 """Recordings written, read by others, read back, and broken in every way."""
 
 import hashlib
-import shutil
 from pathlib import Path
+import shutil
 
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
 import mcap.writer
 import numpy as np
 import pytest
-import yaml
-from mcap.reader import make_reader
-from mcap.stream_reader import StreamReader
 from rosbags import rosbag2
+import yaml
 
-from starcal_ros.cdr import IMU_TYPE, encode_imu
-from starcal_ros.cdr_cloud import CLOUD_TYPE, encode_centroids
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.record import FRAMES_TOPIC, GYRO_TOPIC, RecordError, read, summary
-from starcal_ros.record_writer import (LATCHED, Batch, Qos, Writer, centroids_batch, imu_batch,
-                                       serialize, typestore)
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.messages.cdr import IMU_TYPE, encode_imu
+from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
+from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, RecordError, read, summary
+from starcal_ros.recording.writer import (LATCHED, Batch, Qos, Writer, centroids_batch, imu_batch,
+                                          serialize, typestore)
 
 EXTERNAL = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'external_tan2018'
 START_NS = 1_782_993_600_000_000_000

@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refraction against astropy and the formulas of textbooks, and its standard atmosphere."""
 
-import astropy.units as u
-import numpy as np
-import pytest
 from astropy.coordinates import GCRS, ICRS, AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
+import astropy.units as u
 from astropy.utils import iers
+import numpy as np
+import pytest
 
-from starcal_ros.refraction import Site, altitude, refracted, refraction
-from starcal_ros.utc import unix_ns
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.sky.refraction import Site, altitude, refracted, refraction
 
 ARCSEC = np.pi / 180.0 / 3600.0
 TIME = '2024-03-05T22:10:00'

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from starcal_ros import catalog, spot
-from starcal_ros.camera import Detector
-from starcal_ros.config import Scenario, StarTrackerConfig
-from starcal_ros.config_image import CentroidConfig, ImageConfig
-from starcal_ros.config_truth import TrueStarTrackerConfig
-from starcal_ros.imaging.centroid import extract
-from starcal_ros.simulation import smear
+from starcal_ros.config.image import CentroidConfig, ImageConfig
+from starcal_ros.config.scenario import Scenario, StarTrackerConfig
+from starcal_ros.config.truth import TrueStarTrackerConfig
+from starcal_ros.core import psf as spot
+from starcal_ros.core.camera import Detector
+from starcal_ros.imaging.centroids import extract
+from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.render import ImageSimulator, Renderer
 from starcal_ros.simulation.star_tracker import StarTrackerSimulator
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.sky import catalog
 
 DETECTOR = Detector(256, 200, 0.00645)
 EXPOSURE_S = 0.18

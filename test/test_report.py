@@ -14,11 +14,15 @@ from plotly.offline import get_plotlyjs
 import pytest
 from scipy.stats import norm
 
-from starcal_ros import camera, parameter_file, record, report, verdict
-from starcal_ros.calibration.predicted_centroid import Residuals, calibrate
-from starcal_ros.camera import Detector
+from starcal_ros import report
+from starcal_ros.calibration.methods.predicted_centroid import Residuals, calibrate
 from starcal_ros.cli import main
-from starcal_ros.estimator import STATE_NAMES
+from starcal_ros.config import parameter_file
+from starcal_ros.core import camera
+from starcal_ros.core.camera import Detector
+from starcal_ros.filter import verdict
+from starcal_ros.filter.error_state import STATE_NAMES
+from starcal_ros.recording import reader as record
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.simulation import sensors
 
@@ -177,7 +181,7 @@ def test_charts_have_data_and_a_caption(page):
 
 
 def test_without_truth_the_page_does_without_it(made, tmp_path):
-    from starcal_ros.record_writer import Writer, centroids_batch, imu_batch
+    from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
     recording = record.read(made / HOSTILE)
     with Writer(tmp_path / 'bare.mcap') as writer:
         writer.write_batches(imu_batch('/imu/data_raw', recording.gyro[:3000]),

@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from starcal_ros import cli, parameter_file
-from starcal_ros.estimator import CALIBRATED, PSI, STATE_NAMES, UNIT, Filter
-from starcal_ros.evaluation import (batch, bounds, montecarlo, published, real_images,
-                                    traces)
-from starcal_ros.evaluation.published import open_loop, table4
+from starcal_ros import cli
+from starcal_ros.config import parameter_file
+from starcal_ros.core.units import ARCSEC
+from starcal_ros.evaluation import batch, bounds, montecarlo
+from starcal_ros.filter.error_state import CALIBRATED, PSI, STATE_NAMES, UNIT, Filter
 from starcal_ros.report.published import published as table_of
+from starcal_ros.reproduction import published, real_images, traces
+from starcal_ros.reproduction.published import open_loop, table4
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.units import ARCSEC
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 SKY = Path(__file__).parents[2] / 'shared' / 'data' / 'real_sky'

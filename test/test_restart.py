@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import parameter_file, restart, result
-from starcal_ros.archive import Archive
-from starcal_ros.estimator import CALIBRATED, EPSILON, LENS, PSI, SIGMA_ACQUIRED, Filter
+from starcal_ros.config import parameter_file
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, PSI, SIGMA_ACQUIRED, Filter
+from starcal_ros.results import initial as restart, result
+from starcal_ros.results.store import Archive
 from starcal_ros.simulation import sensors
-from starcal_ros.stream import Stream
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 120.0})

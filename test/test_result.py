@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros import parameter_file, rotation
-from starcal_ros.estimator import CALIBRATED, PHI, UNIT
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.result import CalibrationError, converged, result, write_json
+from starcal_ros.config import parameter_file
+from starcal_ros.core import rotation
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import CALIBRATED, PHI, UNIT
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.results.result import CalibrationError, converged, result, write_json
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import Stream
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
     {'simulation.duration_s': 90.0})

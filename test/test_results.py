@@ -11,7 +11,7 @@ import sys
 from PIL import Image
 import pytest
 
-from starcal_ros.evaluation import published
+from starcal_ros.reproduction import published
 
 TOP = Path(__file__).parents[1]
 DOCS = TOP / 'docs'

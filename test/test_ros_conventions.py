@@ -5,8 +5,10 @@
 import numpy as np
 import pytest
 
-from starcal_ros import camera, estimator, ros_conventions, rotation
-from starcal_ros.ros_conventions import C_os
+from starcal_ros.core import camera, rotation
+from starcal_ros.filter import error_state as estimator
+from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.messages.conventions import C_os
 
 DETECTOR = camera.Detector(1024, 768, 0.00645)
 # T18 Table 1, with p1 and p2 that can be told apart.

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from starcal_ros import rotation
+from starcal_ros.core import rotation
 
 # An element of a matrix or a quaternion is a sum of a few products of numbers below 1, each
 # rounded by 1.1e-16.

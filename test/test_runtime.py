@@ -11,15 +11,15 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from starcal_ros.nodes.composed import NODES                        # noqa: E402
+from starcal_ros.nodes.composed import NODES  # noqa: E402
 
 START = """
 import sys
 from pathlib import Path
 import rclpy
 from rclpy.node import Node
-from starcal_ros.parameter import ConfigError
-from starcal_ros.nodes.runtime import run, steady_timer
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.nodes.base.run_loop import run, steady_timer
 
 
 class Subject(Node):

@@ -4,14 +4,15 @@
 
 import numpy as np
 import pytest
-
-from starcal_ros import camera
-from starcal_ros.evaluation import consistency, published, self2024, self2024_lens
-from starcal_ros.evaluation.self2024 import (CAP, CONE, HALF_PX, METHODS, PINHOLE, PITCH_MM,
-                                             RESULTS, TRUTH, UNIT, Point, bound, run, run_file,
-                                             scenes, spots)
-from starcal_ros.evaluation.self2024_lens import ESTIMATORS, Case
 from test_reproduce import SCENARIO
+
+from starcal_ros.core import camera
+from starcal_ros.evaluation import consistency
+from starcal_ros.reproduction import published, self2024, self2024_lens
+from starcal_ros.reproduction.self2024 import (CAP, CONE, HALF_PX, METHODS, PINHOLE, PITCH_MM,
+                                               RESULTS, TRUTH, UNIT, Point, bound, run, run_file,
+                                               scenes, spots)
+from starcal_ros.reproduction.self2024_lens import ESTIMATORS, Case
 
 PAIRS = 50
 T, S = [0, 1], [2, 3]

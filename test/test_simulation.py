@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import camera, catalog, config, parameter_file, resources, rotation, scenario, sky
-from starcal_ros.catalog import Catalog
-from starcal_ros.preintegration import preintegrate
+from starcal_ros.config import (models as scenario, parameter_file, scenario as config,
+                                shipped as resources)
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.units import DEG, DEG_PER_HOUR
+from starcal_ros.measurements.preintegration import preintegrate
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.star_tracker import StarTrackerSimulator
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.units import DEG, DEG_PER_HOUR
+from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky.catalog import Catalog
 
 TAN2018 = parameter_file.load(resources.config_file('tan2018.yaml'))
 NOISELESS = {'gyro.arw_deg_sqrt_h': 0.0, 'star_tracker.centroid_sigma_px': 0.0}

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from starcal_ros import parameter_file, rotation
-from starcal_ros.measurements import Frames, GyroSamples
+from starcal_ros.config import parameter_file
+from starcal_ros.core import rotation
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.measurements.spot_tracker import PATIENCE, SpotTracker
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.spots import PATIENCE, SpotTracker
 
 SCENARIO = parameter_file.load(
     Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(

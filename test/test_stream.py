@@ -9,14 +9,17 @@ import time
 import numpy as np
 import pytest
 
-from starcal_ros import catalog, parameter_file, preintegration, rotation, sky
-from starcal_ros.estimator import CALIBRATED, EPSILON, LENS, PHI, PSI
-from starcal_ros.measurements import Frames, GyroSamples
-from starcal_ros.scenario import observer
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import observer
+from starcal_ros.core import rotation
+from starcal_ros.core.units import DEG
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, PHI, PSI
+from starcal_ros.measurements import preintegration
+from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import Stream
-from starcal_ros.units import DEG
+from starcal_ros.sky import apparent as sky, catalog
 
 # 30 s at rest, then 60 s of slew.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(

@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
-from starcal_ros.measurements import GyroSamples
-from starcal_ros.timeline import NEVER_NS, SET_BACK_S, Timeline
+from starcal_ros.measurements.samples import GyroSamples
+from starcal_ros.measurements.timeline import NEVER_NS, SET_BACK_S, Timeline
 
 PERIOD_NS = 10**7
 LEAP, SET_BACK = 5 * PERIOD_NS, round(SET_BACK_S * 1e9)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros import parameter_file
-from starcal_ros.evaluation import traces
+from starcal_ros.config import parameter_file
+from starcal_ros.core.units import ARCSEC, DEG_PER_SQRT_HOUR
 from starcal_ros.evaluation.batch import run_batch
-from starcal_ros.evaluation.published.fig5 import bias_drift
-from starcal_ros.units import ARCSEC, DEG_PER_SQRT_HOUR
+from starcal_ros.reproduction import traces
+from starcal_ros.reproduction.published.fig5 import bias_drift
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 # A gyro so coarse that a frame must find its attitude by itself, from its own stars.

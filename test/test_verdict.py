@@ -8,14 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from starcal_ros import parameter_file, rotation, verdict
-from starcal_ros.calibration.predicted_centroid import calibrate
-from starcal_ros.estimator import (CALIBRATED, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
-                                   STATE_UNITS, THETA, UNIT, Belief, Filter)
-from starcal_ros.result import converged
+from starcal_ros.calibration.methods.predicted_centroid import calibrate
+from starcal_ros.config import parameter_file
+from starcal_ros.core import rotation
+from starcal_ros.core.units import ARCSEC
+from starcal_ros.filter import verdict
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import (CALIBRATED, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
+                                            STATE_UNITS, THETA, UNIT, Belief, Filter)
+from starcal_ros.results.result import converged
 from starcal_ros.simulation import sensors
-from starcal_ros.stream import Stream
-from starcal_ros.units import ARCSEC
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
 FILTER = Filter(SCENARIO)
@@ -239,7 +241,8 @@ def test_axis_recommended_is_the_one_that_lowers_the_sigmas_most(run, ahead):
 
 
 def test_diagnostics_say_what_the_verdict_says(run):
-    diagnostics = pytest.importorskip('starcal_ros.nodes.diagnostics', exc_type=ImportError)
+    diagnostics = pytest.importorskip('starcal_ros.nodes.estimator_diagnostics',
+                                      exc_type=ImportError)
     from rclpy.clock import Clock
     verdicts, stream = run
     node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)

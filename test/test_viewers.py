@@ -12,13 +12,13 @@ import pytest
 from rosbags.interfaces import Nodetype
 import yaml
 
-from starcal_ros import parameter_file
-from starcal_ros.estimator import N_STATES, STATE_NAMES
-from starcal_ros.record_writer import typestore
-from starcal_ros.ros_conventions import GYRO_FRAME, STATE_LAYOUT
-from starcal_ros.stream import Stream
+from starcal_ros.config import parameter_file
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import N_STATES, STATE_NAMES
+from starcal_ros.messages.conventions import GYRO_FRAME, STATE_LAYOUT
+from starcal_ros.recording.writer import typestore
 
-topics = pytest.importorskip('starcal_ros.nodes.topics', exc_type=ImportError)
+topics = pytest.importorskip('starcal_ros.nodes.base.topics', exc_type=ImportError)
 
 TOP = Path(__file__).parents[1]
 VIEWERS = TOP / 'config' / 'viewers'
@@ -49,7 +49,8 @@ def assert_plottable(topic, path):
 def calibration_status():
     """Return the diagnostics that an estimator without a namespace publishes."""
     from rclpy.clock import Clock
-    from starcal_ros.nodes.diagnostics import Diagnostics
+
+    from starcal_ros.nodes.estimator_diagnostics import Diagnostics
     node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
     return Diagnostics(node, []).message(Stream(SCENARIO), enabled=True).status[0]
 

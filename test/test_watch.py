@@ -16,9 +16,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from starcal_ros import cli, demo, parameter_file, ros_conventions
-from starcal_ros.calibration import predicted_centroid
-from starcal_ros.estimator import N_STATES, STATE_NAMES
+from starcal_ros import cli
+from starcal_ros.calibration.methods import predicted_centroid
+from starcal_ros.cli import processes as demo
+from starcal_ros.config import parameter_file
+from starcal_ros.filter.error_state import N_STATES, STATE_NAMES
+from starcal_ros.messages import conventions as ros_conventions
 from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
 

@@ -8,12 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from starcal_ros import invariants, published_cameras
-from starcal_ros.config import Scenario
-from starcal_ros.evaluation import consistency, published, wu2019
-from starcal_ros.evaluation.wu2019 import DETECTOR, GROUPS, METHODS, TRUTH, View
-from starcal_ros.evaluation.wu2019_study import HEAD, UNITS, Study, rows
-from starcal_ros.measurements import Stars
+from starcal_ros.calibration import invariants
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.evaluation import consistency
+from starcal_ros.measurements.samples import Stars
+from starcal_ros.reproduction import published, published_cameras, wu2019
+from starcal_ros.reproduction.wu2019 import DETECTOR, GROUPS, METHODS, TRUTH, View
+from starcal_ros.reproduction.wu2019_study import HEAD, UNITS, Study, rows
 
 SHORT = Scenario().replace({'simulation.duration_s': 50.0})        # 100 frames
 RUNS = 40

@@ -1,11 +1,11 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration methods, one a file; the file's name is the value of ``--method``.
+"""The camera alone: methods found by name, and the mathematics that they stand on.
 
-Each module has ``start(scenario, known=None)``, which returns a `camera_estimate.CameraMethod`:
-gyro samples and frames go in, a camera with its covariance comes out. It begins at the nominal
-camera with the initial sigmas, or at what is known from other frames. What all methods must do is
-tested in ``test/test_methods.py``, which finds them here.
+Each module of `methods` has ``start(scenario, known=None)``, which returns a
+`camera_estimate.CameraMethod`: gyro samples and frames go in, a camera with its covariance comes
+out. It begins at the nominal camera with the initial sigmas, or at what is known from other
+frames. What all methods must do is tested in ``test/test_methods.py``, which finds them here.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from __future__ import annotations
 from importlib import import_module
 import pkgutil
 
-from starcal_ros.camera_estimate import CameraEstimate, CameraMethod
-from starcal_ros.config import Scenario
-from starcal_ros.parameter import ConfigError
+from starcal_ros.calibration import methods
+from starcal_ros.calibration.camera_estimate import CameraEstimate, CameraMethod
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import Scenario
 
 
 def names() -> list[str]:
     """Return the methods there are."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+    return sorted(module.name for module in pkgutil.iter_modules(methods.__path__))
 
 
 def start(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMethod:
@@ -40,6 +41,6 @@ def start(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMeth
     method = scenario.intrinsics.method
     if method not in names():
         raise ConfigError(f'intrinsics.method: got {method!r}, allowed are {", ".join(names())}')
-    begun: CameraMethod = import_module(f'{__name__}.{method}').start(
+    begun: CameraMethod = import_module(f'{methods.__name__}.{method}').start(
         scenario, known)
     return begun

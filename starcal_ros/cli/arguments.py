@@ -7,9 +7,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from starcal_ros import parameter_file, resources
-from starcal_ros.config import Scenario
-from starcal_ros.parameter import ConfigError
+from starcal_ros.config import parameter_file, shipped as resources
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import Scenario
 
 
 def add_bag(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
-from starcal_ros.parameter import ConfigError
+from starcal_ros.config.parameter import ConfigError
 
 SUMMARY = 'calibrate without knowing camera or stars'
 DESCRIPTION = ('Calibrate a recording of which only the focal length is known, to a tenth, and no '
@@ -37,10 +37,12 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out) if options.out else None
     if out is not None:
         arguments.require_writable(out)
-    from starcal_ros import record, report, result
+    from starcal_ros import report
+    from starcal_ros.recording import reader as record
+    from starcal_ros.results import result
     try:
-        from starcal_ros.bootstrap import bootstrap
-        from starcal_ros.imaging.recorded import measure
+        from starcal_ros.recording.measured_images import measure
+        from starcal_ros.workflows.bootstrap import bootstrap
         with progress('reading') as on_progress:
             recording = record.read(options.bag, on_progress, measure=measure(scenario),
                                     images_first=options.images)

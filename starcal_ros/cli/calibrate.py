@@ -9,12 +9,12 @@ from collections.abc import Iterator
 import json
 from pathlib import Path
 
-from starcal_ros import parameter_file
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
-from starcal_ros.config import Scenario
-from starcal_ros.parameter import ConfigError
-from starcal_ros.stream import Stream
+from starcal_ros.config import parameter_file
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.filter.calibrator import Stream
 
 SUMMARY = 'calibrate a recording'
 DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
@@ -49,9 +49,12 @@ def run(options: argparse.Namespace) -> int:
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
                         page: Path | None, folder: Path | None = None) -> Stream:
     """Calibrate a recording, write the result, print its table and return the final state."""
-    from starcal_ros import export, record, report, restart, result, verdict
-    from starcal_ros.archive import Archive
-    from starcal_ros.calibration import predicted_centroid
+    from starcal_ros import report
+    from starcal_ros.calibration.methods import predicted_centroid
+    from starcal_ros.filter import verdict
+    from starcal_ros.recording import reader as record
+    from starcal_ros.results import export, initial as restart, result
+    from starcal_ros.results.store import Archive
 
     for path in (out, figure, page):
         if path is not None:

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros import demo
+    from starcal_ros.cli import processes as demo
     scenario = arguments.scenario(
         options, duration_s=options.duration, real_time_factor=options.factor)
     folder = Path(options.out)

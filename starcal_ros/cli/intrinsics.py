@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from starcal_ros import calibration
-from starcal_ros.camera import INTRINSICS
 from starcal_ros.cli import arguments, still_images
 from starcal_ros.cli.terminal import progress, say, show
-from starcal_ros.config import parameters
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import parameters
+from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.imaging.files import SUFFIXES
-from starcal_ros.parameter import ConfigError
 
 SUMMARY = 'calibrate the camera alone'
 DESCRIPTION = ('Calibrate the camera alone, from what the stars are to each other: no attitude is '
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     outcome = (_of_recording(options) if recording
                else still_images.run(options, _given(options)))
     if options.out:
-        from starcal_ros import result
+        from starcal_ros.results import result
         result.write_json(options.out, outcome)
     return 0
 
@@ -90,8 +90,10 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
 def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     scenario = arguments.scenario(options).replace(_given(options))
     method = calibration.start(scenario)
-    from starcal_ros import record, report, result
-    from starcal_ros.imaging.recorded import measure
+    from starcal_ros import report
+    from starcal_ros.recording import reader as record
+    from starcal_ros.recording.measured_images import measure
+    from starcal_ros.results import result
     with progress('reading') as on_progress:
         recording = record.read(options.source, on_progress, needs_gyro=False,
                                 measure=measure(scenario))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, show
-from starcal_ros.parameter import ConfigError
+from starcal_ros.config.parameter import ConfigError
 
 SUMMARY = 'run a scenario many times'
 DESCRIPTION = ('Simulate and estimate a scenario with many seeds and compare the errors with the '

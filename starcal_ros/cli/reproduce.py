@@ -12,9 +12,9 @@ import shutil
 from starcal_ros import __version__
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
-from starcal_ros.config import Scenario
-from starcal_ros.evaluation import published
-from starcal_ros.parameter import ConfigError
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.reproduction import published
 
 SUMMARY = "compare with a paper's table or figure"
 DESCRIPTION = ('Run what a table or figure of a paper was made from, and put its numbers beside '

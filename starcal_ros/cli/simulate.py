@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.simulate import simulate
+    from starcal_ros.simulation.write_recording import simulate
     scenario = arguments.scenario(options, duration_s=options.duration, seed=options.seed)
     with progress('simulating') as on_progress:
         simulate(scenario, options.out, options.overwrite, on_progress)

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
-from starcal_ros.config import stamp_ns
-from starcal_ros.config_image import CentroidConfig
-from starcal_ros.parameter import ConfigError
-from starcal_ros.refraction import Site
+from starcal_ros.config.image import CentroidConfig
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import stamp_ns
+from starcal_ros.sky.refraction import Site
 
 EPOCH = '2020-01-01T00:00:00'
 """Time of images of which none is known: a few years move no star by a hundredth of a pixel."""
@@ -123,7 +123,9 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     outcome : dict
         What is written as JSON.
     """
-    from starcal_ros import plates, report, result
+    from starcal_ros import report
+    from starcal_ros.results import result
+    from starcal_ros.workflows.still_images import calibration as plates
     site = _site(options)
     where = options.centroids or options.source
     read = _of_table if options.centroids else _of_folder
@@ -133,7 +135,7 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
                                   options.method or 'bundle', velocity).replace(given)
     images, notices = source.images, []
     if site is not None:
-        from starcal_ros.plate_air import numbers_in_the_air
+        from starcal_ros.workflows.still_images.atmosphere import numbers_in_the_air
         frames, sunk, low = numbers_in_the_air(images.frames, scenario, site)
         if sunk.any():
             raise ConfigError(f'--site: {sunk.sum()} of {len(sunk)} images, such as '
@@ -166,7 +168,7 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_table(options: argparse.Namespace, site: Site | None) -> _Source:
-    from starcal_ros import plates
+    from starcal_ros.workflows.still_images import calibration as plates
     if not (options.width and options.height):
         raise ConfigError('--centroids: needs --width and --height of the images')
     if site is not None and not options.epoch:
@@ -178,9 +180,9 @@ def _of_table(options: argparse.Namespace, site: Site | None) -> _Source:
 
 
 def _of_folder(options: argparse.Namespace, site: Site | None) -> _Source:
-    from starcal_ros import plate_images, plates
-    from starcal_ros.result import CalibrationError
-    from starcal_ros.sky import Observer
+    from starcal_ros.results.result import CalibrationError
+    from starcal_ros.sky.apparent import Observer
+    from starcal_ros.workflows.still_images import calibration as plates, folder as plate_images
     if options.stars:
         arguments.require_writable(Path(options.stars))
     velocity = 'geocentre' if options.aberration or site else 'barycentre'

@@ -16,19 +16,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import catalog, rotation, sky
-from starcal_ros.acquisition import acquire
-from starcal_ros.config import Scenario
-from starcal_ros.estimator import PHI, Belief, Filter, Nominal, Update
-from starcal_ros.measurements import Frames, GyroSamples, Stars
-from starcal_ros.places import SIGMA_PX
-from starcal_ros.preintegration import Preintegrated, preintegrate
-from starcal_ros.scenario import observer
+from starcal_ros.config.models import observer
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import rotation
+from starcal_ros.core.units import NS
+from starcal_ros.filter.acquisition import acquire
+from starcal_ros.filter.calibrator import REPROJECTION_S
+from starcal_ros.filter.error_state import PHI, Belief, Filter, Nominal, Update
+from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
+from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
+from starcal_ros.measurements.star_directions import SIGMA_PX
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.stream import REPROJECTION_S
-from starcal_ros.units import NS
+from starcal_ros.sky import apparent as sky, catalog
 
 Array = NDArray[np.float64]
 

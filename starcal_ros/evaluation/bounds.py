@@ -26,16 +26,17 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from starcal_ros import camera, catalog, sky
-from starcal_ros.config import Scenario
-from starcal_ros.estimator import CALIBRATED, EPSILON, LENS, N_STATES, PHI, SCALE, Filter
-from starcal_ros.measurements import Frames
-from starcal_ros.places import SIGMA_PX
-from starcal_ros.scenario import observer
+from starcal_ros.config.models import observer
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import camera
+from starcal_ros.core.units import NS
+from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, N_STATES, PHI, SCALE, Filter
+from starcal_ros.measurements.samples import Frames
+from starcal_ros.measurements.star_directions import SIGMA_PX
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.units import NS
+from starcal_ros.sky import apparent as sky, catalog
 
 Array = NDArray[np.float64]
 

@@ -18,10 +18,11 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import camera, catalog, sky
-from starcal_ros.camera import Detector
-from starcal_ros.imaging.identify import Identification
-from starcal_ros.rotation import to_matrix
+from starcal_ros.core import camera
+from starcal_ros.core.camera import Detector
+from starcal_ros.core.rotation import to_matrix
+from starcal_ros.identification.identifier import Identification
+from starcal_ros.sky import apparent as sky, catalog
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import parameter_file
-from starcal_ros.config import Scenario, parameters
-from starcal_ros.estimator import N_STATES, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.config import parameter_file
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import Scenario, parameters
 from starcal_ros.evaluation import bounds, consistency
 from starcal_ros.evaluation.batch import Runs, run_batch
-from starcal_ros.parameter import ConfigError
+from starcal_ros.filter.error_state import N_STATES, STATE_NAMES, STATE_UNITS, UNIT
 
 Array = NDArray[np.float64]
 

@@ -1,3 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""From frames to centroids to catalogue numbers."""
+"""From the pixels of an image to star centroids.
+
+Which star a centroid shows is told in `identification`; images are simulated in `simulation`.
+"""

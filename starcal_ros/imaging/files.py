@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 import warnings
 
+from PIL import Image
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from starcal_ros.imaging import image_time
+from starcal_ros.imaging import exposure_time as image_time
 
 FITS_SUFFIXES = ('.fits', '.fit', '.fts')
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', *FITS_SUFFIXES)
@@ -41,7 +41,7 @@ class Picture(NamedTuple):
     saturation : float
         Counts from which a pixel is saturated; infinite where the file does not tell.
     taken : datetime or None
-        When, as `image_time` has it; None where the file does not tell.
+        When, as `exposure_time` has it; None where the file does not tell.
     """
 
     counts: NDArray[np.float32]
@@ -106,7 +106,7 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
 
 
 def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
-    from astropy.io import fits     # here, because it takes a quarter of a second
+    from astropy.io import fits  # here, because it takes a quarter of a second
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')         # what matters is raised

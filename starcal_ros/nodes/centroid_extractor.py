@@ -8,14 +8,14 @@ from typing import Any
 
 from sensor_msgs.msg import Image, PointCloud2
 
-from starcal_ros import cdr_cloud
-from starcal_ros.cdr_image import ImageMessageError, decode_image
-from starcal_ros.imaging.frame import SpotMeter
-from starcal_ros.nodes import runtime
-from starcal_ros.nodes.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
-                                    when_subscribed)
-from starcal_ros.nodes.managed import ManagedNode
-from starcal_ros.nodes.tally import Tally
+from starcal_ros.imaging.spot_meter import SpotMeter
+from starcal_ros.messages import cdr_pointcloud as cdr_cloud
+from starcal_ros.messages.cdr_image import ImageMessageError, decode_image
+from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
+                                         when_subscribed)
+from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.tally import Tally
 
 _AT_ONCE = 4            # images: each has a megapixel and takes some 30 ms
 _DRAIN_S = 6.0

@@ -13,7 +13,7 @@ import sys
 
 from rclpy.node import Node
 
-from starcal_ros.nodes import command_line, runtime
+from starcal_ros.nodes.base import command_line, run_loop as runtime
 
 NODES = ('recorder', 'watch', 'estimator', 'intrinsics_estimator', 'star_identifier',
          'centroid_extractor', 'player', 'star_tracker_sim', 'gyro_sim')

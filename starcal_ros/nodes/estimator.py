@@ -11,16 +11,18 @@ from typing import Any
 from sensor_msgs.msg import Imu, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
-from starcal_ros import __version__, cdr, cdr_cloud, restart, result
-from starcal_ros.archive import Archive, ArchiveError
-from starcal_ros.config import Scenario
-from starcal_ros.nodes import parameters, runtime
-from starcal_ros.nodes.diagnostics import Diagnostics
-from starcal_ros.nodes.flow import MatchedSubscription, when_subscribed
-from starcal_ros.nodes.inputs import decoded
-from starcal_ros.nodes.managed import ManagedNode
-from starcal_ros.nodes.results import Results
-from starcal_ros.stream import Stream
+from starcal_ros import __version__
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
+from starcal_ros.nodes.base import parameters, run_loop as runtime
+from starcal_ros.nodes.base.decoding import decoded
+from starcal_ros.nodes.base.flow import MatchedSubscription, when_subscribed
+from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.estimator_diagnostics import Diagnostics
+from starcal_ros.nodes.estimator_results import Results
+from starcal_ros.results import initial as restart, result
+from starcal_ros.results.store import Archive, ArchiveError
 
 _DIAGNOSTICS_S = 1.0
 

@@ -9,12 +9,12 @@ from typing import Any
 
 from sensor_msgs.msg import Imu
 
-from starcal_ros import cdr
-from starcal_ros.nodes import parameters, runtime
-from starcal_ros.nodes.flow import FlowPublisher
-from starcal_ros.nodes.pacing import Item
-from starcal_ros.nodes.simulator import Simulator
-from starcal_ros.ros_conventions import GYRO_FRAME
+from starcal_ros.messages import cdr
+from starcal_ros.messages.conventions import GYRO_FRAME
+from starcal_ros.nodes.base import parameters, run_loop as runtime
+from starcal_ros.nodes.base.flow import FlowPublisher
+from starcal_ros.nodes.base.pacing import Item
+from starcal_ros.nodes.base.simulator import Simulator
 from starcal_ros.simulation import sensors
 
 _BATCH = 100

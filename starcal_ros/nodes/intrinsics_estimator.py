@@ -14,13 +14,14 @@ from typing import Any
 from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros import calibration, cdr, cdr_cloud
-from starcal_ros.measurements import Frames
-from starcal_ros.nodes import messages, runtime
-from starcal_ros.nodes.flow import FlowPublisher, MatchedSubscription, drain
-from starcal_ros.nodes.inputs import decoded
-from starcal_ros.nodes.managed import ManagedNode
-from starcal_ros.scenario import detector
+from starcal_ros import calibration
+from starcal_ros.config.models import detector
+from starcal_ros.measurements.samples import Frames
+from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
+from starcal_ros.nodes.base import ros_messages as messages, run_loop as runtime
+from starcal_ros.nodes.base.decoding import decoded
+from starcal_ros.nodes.base.flow import FlowPublisher, MatchedSubscription, drain
+from starcal_ros.nodes.base.managed_node import ManagedNode
 
 _PERIOD_S = 1.0
 _SHARE = 0.2            # of the time that may go into answers

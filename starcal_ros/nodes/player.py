@@ -11,8 +11,8 @@ where a loop begins again.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterator
+import heapq
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +22,15 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from starcal_ros.bag import Bag, Topic, open_bag
-from starcal_ros.cdr import RecordError
-from starcal_ros.config import PlayerConfig
-from starcal_ros.parameter import ConfigError
-from starcal_ros.nodes import parameters, runtime
-from starcal_ros.nodes.flow import FlowPublisher, when_subscribed
-from starcal_ros.nodes.pacing import Feed, Item, SimulatedClock
-from starcal_ros.nodes.topics import GYRO, STARS, TOPICS, message_type
-from starcal_ros.units import NS
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import PlayerConfig
+from starcal_ros.core.units import NS
+from starcal_ros.messages.cdr import RecordError
+from starcal_ros.nodes.base import parameters, run_loop as runtime
+from starcal_ros.nodes.base.flow import FlowPublisher, when_subscribed
+from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
+from starcal_ros.nodes.base.topics import GYRO, STARS, TOPICS, message_type
+from starcal_ros.recording.bag import Bag, Topic, open_bag
 
 _RESULTS = tuple('/' + topic.name.lstrip('/') for topic in TOPICS if topic.result)
 _OF_ROS = ('/rosout', '/parameter_events', '/clock')

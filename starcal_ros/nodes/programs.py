@@ -4,7 +4,7 @@
 
 A node takes a second to import. Python would answer a Ctrl-C in that time with a KeyboardInterrupt
 wherever the import stands: importlib loses some of them, so that the node goes on, and extension
-modules turn others into an ImportError. Up to `runtime.run`, which has handlers of its own,
+modules turn others into an ImportError. Up to `run_loop.run`, which has handlers of its own,
 the signal therefore ends the process as it ends one that is not written in Python.
 """
 

@@ -12,9 +12,9 @@ that is an hour ahead, until the next one is, too.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
 import json
 import struct
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,13 +22,13 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros import parameter_file
-from starcal_ros.nodes import runtime
-from starcal_ros.nodes.flow import LATCHED, MatchedSubscription
-from starcal_ros.nodes.managed import ManagedNode
-from starcal_ros.nodes.topics import TOPICS, is_stamped, message_type, offered_qos
-from starcal_ros.record import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
-from starcal_ros.record_writer import Batch, Qos, Writer
+from starcal_ros.config import parameter_file
+from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base.flow import LATCHED, MatchedSubscription
+from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.topics import TOPICS, is_stamped, message_type, offered_qos
+from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
+from starcal_ros.recording.writer import Batch, Qos, Writer
 from starcal_ros.simulation.truth import VECTOR_SIZE, from_vector
 
 _TRUTH = 'truth/parameters'

@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Imu, PointCloud2
 
-from starcal_ros import cdr, cdr_cloud
-from starcal_ros.nodes import runtime
-from starcal_ros.nodes.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
-                                    when_subscribed)
-from starcal_ros.nodes.inputs import decoded
-from starcal_ros.nodes.managed import ManagedNode
-from starcal_ros.nodes.tally import Tally
-from starcal_ros.numbering import Numbering
-from starcal_ros.parameter import ConfigError
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.identification.frame_identifier import Numbering
+from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
+from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base.decoding import decoded
+from starcal_ros.nodes.base.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
+                                         when_subscribed)
+from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.tally import Tally
 
 _PATIENCE_S = 4.0       # of a frame, with the gyro: Fast DDS sends again what it lost after 3 s
 _LOOK_S = 0.1

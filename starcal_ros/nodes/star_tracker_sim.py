@@ -15,13 +15,13 @@ from geometry_msgs.msg import QuaternionStamped
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros import cdr_cloud, cdr_image
-from starcal_ros.nodes import messages, parameters, runtime
-from starcal_ros.nodes.flow import FlowPublisher
-from starcal_ros.nodes.pacing import Item
-from starcal_ros.nodes.simulator import Simulator
-from starcal_ros.parameter import ConfigError
-from starcal_ros.scenario import detector, intrinsics
+from starcal_ros.config.models import detector, intrinsics
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.messages import cdr_image, cdr_pointcloud as cdr_cloud
+from starcal_ros.nodes.base import parameters, ros_messages as messages, run_loop as runtime
+from starcal_ros.nodes.base.flow import FlowPublisher
+from starcal_ros.nodes.base.pacing import Item
+from starcal_ros.nodes.base.simulator import Simulator
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import VECTOR_LABEL
 

@@ -22,7 +22,7 @@ from rich.live import Live
 from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros.nodes import runtime
+from starcal_ros.nodes.base import run_loop as runtime
 from starcal_ros.report.watch import STAR_FIELDS, STATE_SIZE, Seen, render
 
 _DRAW_S = 0.5

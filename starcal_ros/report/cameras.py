@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from starcal_ros.camera import INTRINSICS_KEYS
+from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.report.states import LABELS, UNITS, Row, short
 
 _LEFT = ('state', 'unit')

@@ -7,10 +7,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from starcal_ros.calibration.predicted_centroid import History
-from starcal_ros.estimator import CALIBRATED, UNIT
+from starcal_ros.calibration.methods.predicted_centroid import History
+from starcal_ros.core.units import NS
+from starcal_ros.filter.error_state import CALIBRATED, UNIT
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
-from starcal_ros.units import NS
 
 
 def figure(history: History, truth: dict[str, Any] | None, path: str | Path) -> None:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 import plotly.graph_objects as go
 from scipy.stats import norm
 
-from starcal_ros import camera
-from starcal_ros.calibration.predicted_centroid import Residuals
-from starcal_ros.camera import Detector
+from starcal_ros.calibration.methods.predicted_centroid import Residuals
+from starcal_ros.core import camera
+from starcal_ros.core.camera import Detector
 from starcal_ros.report.chart import RED, Chart, chart
 
 Array = NDArray[np.float64]

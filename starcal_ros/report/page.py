@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import parameter_file
-from starcal_ros.calibration.predicted_centroid import History
-from starcal_ros.camera import INTRINSICS_KEYS
-from starcal_ros.config import Scenario
+from starcal_ros.calibration.methods.predicted_centroid import History
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import detector, intrinsics
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.filter.verdict import NAMES, Verdict, advice
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.report.states import LABELS, Row, rows, short, summary
-from starcal_ros.scenario import detector, intrinsics
-from starcal_ros.verdict import NAMES, Verdict, advice
 
 _LABEL = {name: name.replace('_', ' ') for name in NAMES[:3]} | dict(zip(NAMES[3:], LABELS))
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros import parameter_file
-from starcal_ros.calibration.predicted_centroid import Residuals
-from starcal_ros.plates import KEYS, PlateCamera, Refit
+from starcal_ros.calibration.methods.predicted_centroid import Residuals
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import detector
 from starcal_ros.report import detector_charts
 from starcal_ros.report.cameras import entry
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
-from starcal_ros.scenario import detector
+from starcal_ros.workflows.still_images.calibration import KEYS, PlateCamera, Refit
 
 
 def write_plate_page(path: str | Path, found: PlateCamera, outcome: dict[str, Any],

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from starcal_ros.evaluation.outcome import Curve, Field, Outcome, Panel
+from starcal_ros.reproduction.outcome import Curve, Field, Outcome, Panel
 
 _STYLES: dict[str, dict[str, Any]] = {
     'line': {'linewidth': 0.9},

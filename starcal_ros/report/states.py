@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from starcal_ros import rotation
-from starcal_ros.calibration.predicted_centroid import History
-from starcal_ros.camera import INTRINSICS_KEYS
-from starcal_ros.estimator import CALIBRATED, EPSILON, UNIT
-from starcal_ros.units import ARCSEC
+from starcal_ros.calibration.methods.predicted_centroid import History
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.units import ARCSEC
+from starcal_ros.filter.error_state import CALIBRATED, EPSILON, UNIT
 
 Array = NDArray[np.float64]
 

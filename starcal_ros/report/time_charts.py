@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 import plotly.graph_objects as go
 from scipy.stats import chi2
 
-from starcal_ros.calibration.predicted_centroid import History
-from starcal_ros.estimator import CALIBRATED, STATE_NAMES, UNIT
+from starcal_ros.calibration.methods.predicted_centroid import History
+from starcal_ros.core.units import NS
+from starcal_ros.filter.error_state import CALIBRATED, STATE_NAMES, UNIT
 from starcal_ros.report.chart import BLUE, GREY, PALE, RED, Chart, chart
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
-from starcal_ros.units import NS
 
 Array = NDArray[np.float64]
 

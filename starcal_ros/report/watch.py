@@ -20,10 +20,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from starcal_ros.estimator import N_STATES, STATE_NAMES, UNIT
+from starcal_ros.core.units import DEG, DEG_PER_HOUR
+from starcal_ros.filter.error_state import N_STATES, STATE_NAMES, UNIT
+from starcal_ros.messages.conventions import STATE_LAYOUT
 from starcal_ros.report.states import LABELS, UNITS, Row, short
-from starcal_ros.ros_conventions import STATE_LAYOUT
-from starcal_ros.units import DEG, DEG_PER_HOUR
 
 Array = NDArray[np.float64]
 

@@ -22,12 +22,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros import rotation
-from starcal_ros.config import Scenario
-from starcal_ros.measurements import GyroSamples
-from starcal_ros.simulation.gyro_scale import scale_error
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import rotation
+from starcal_ros.core.units import DEG_PER_SQRT_HOUR, NS
+from starcal_ros.measurements.samples import GyroSamples
+from starcal_ros.simulation.errors.gyro_scale import scale_error
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.units import DEG_PER_SQRT_HOUR, NS
 
 
 class GyroSimulator:

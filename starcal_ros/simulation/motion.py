@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import rotation
-from starcal_ros.config import Scenario, stamp_ns
+from starcal_ros.config.scenario import Scenario, stamp_ns
+from starcal_ros.core import rotation
 
 Array = NDArray[np.float64]
 

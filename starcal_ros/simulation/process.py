@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.units import NS
+from starcal_ros.core.units import NS
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros.config import Scenario
+from starcal_ros.config.scenario import Scenario
 
 
 def stream(scenario: Scenario, source: str) -> np.random.Generator:

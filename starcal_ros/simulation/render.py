@@ -10,7 +10,7 @@ Electrons of a pixel, and the counts that it gives ::
     N = Z 10^(-0.4 Hp) T,   b = (sky + dark) T
     counts = round(e / gain + offset), 0 to saturation
 
-    m          part of a star's light in the pixel (`starcal_ros.spot`), along its true trail
+    m          part of a star's light in the pixel (`starcal_ros.core.psf`), along its true trail
     Z, T       e/s, s    electrons a second of a star of Hp 0, exposure
     b, r       e         electrons of sky and dark current, noise of the readout
 
@@ -24,14 +24,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import spot
-from starcal_ros.camera import Detector
-from starcal_ros.catalog import Catalog
-from starcal_ros.config import Scenario
-from starcal_ros.config_image import ImageConfig
-from starcal_ros.simulation import smear
+from starcal_ros.config.image import ImageConfig
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import psf as spot
+from starcal_ros.core.camera import Detector
+from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.star_view import StarView
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.sky.catalog import Catalog
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint16]

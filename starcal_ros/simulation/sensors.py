@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros import catalog
-from starcal_ros.config import Scenario
+from starcal_ros.config.scenario import Scenario
 from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.randomness import stream
 from starcal_ros.simulation.render import ImageSimulator
 from starcal_ros.simulation.star_tracker import StarTrackerSimulator
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.sky import catalog
 
 
 def _rng(scenario: Scenario, sensor: int) -> np.random.Generator:

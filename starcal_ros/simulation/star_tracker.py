@@ -18,14 +18,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.catalog import Catalog
-from starcal_ros.config import Scenario
-from starcal_ros.measurements import Frames
-from starcal_ros.simulation import smear
-from starcal_ros.simulation.hot_pixels import HotPixels
-from starcal_ros.simulation.misidentification import Misidentification
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.measurements.samples import Frames
+from starcal_ros.simulation.errors import smear
+from starcal_ros.simulation.errors.hot_pixels import HotPixels
+from starcal_ros.simulation.errors.misidentification import Misidentification
 from starcal_ros.simulation.star_view import StarView
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.sky.catalog import Catalog
 
 _BATCH = 500            # frames whose stars are searched at once: 20 MB
 

@@ -8,12 +8,13 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import camera, sky
-from starcal_ros.catalog import Catalog
-from starcal_ros.config import Scenario
-from starcal_ros.scenario import observer
-from starcal_ros.simulation import smear
+from starcal_ros.config.models import observer
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import camera
+from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.sky import apparent as sky
+from starcal_ros.sky.catalog import Catalog
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

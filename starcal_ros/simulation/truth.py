@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros import rotation
-from starcal_ros.camera import INTRINSICS_KEYS, Detector
-from starcal_ros.config import Scenario
-from starcal_ros.scenario import detector, intrinsics, mounting_matrix
-from starcal_ros.simulation.bias_walk import bias_walk
+from starcal_ros.config.models import detector, intrinsics, mounting_matrix
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import INTRINSICS_KEYS, Detector
+from starcal_ros.core.units import DEG_PER_HOUR
+from starcal_ros.simulation.errors.bias_walk import bias_walk
+from starcal_ros.simulation.errors.mounting_drift import mounting_drift
 from starcal_ros.simulation.motion import Motion
-from starcal_ros.simulation.mounting_drift import mounting_drift
 from starcal_ros.simulation.process import Process
-from starcal_ros.units import DEG_PER_HOUR
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class Truth:
     detector : Detector
         Pixels of the camera.
     intrinsics : (7,) array
-        Camera, as in `starcal_ros.camera`.
+        Camera, as in `starcal_ros.core.camera`.
     C_sg : (3, 3) array
         Mounting, its mean where it drifts.
     bias : (3,) array

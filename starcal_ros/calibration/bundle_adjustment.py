@@ -1,0 +1,361 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Bundle adjustment: one camera, an attitude a frame, directions known or not, all at once.
+
+Model
+-----
+A spot of frame k at the direction u, known from the catalogue or a point of its own ::
+
+    uv_m = project(C_k u, intrinsics) + sigma n,      n ~ N(0, I)                        (B.1)
+
+The unknowns are the intrinsics that are free, all C_k and the unknown directions. Least squares
+of the centroids is then the maximum likelihood estimate, by Gauss and Newton with the attitude
+errors theta (``C_k <- exp(-theta) C_k``) eliminated frame by frame: with the normal blocks N of
+attitudes a, points d and camera c ::
+
+    S = N_xx - N_xa N_aa^-1 N_ax,      x = (c, d)                                        (B.2)
+
+Where no direction is known the frames hang together by the points alone; one frame of each group
+that hangs together keeps its attitude, which costs nothing but the choice of axes.
+
+Wrong spots get Geman and McClure's weight until the fit rests, then those outside the gate are
+left out. After Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.units import ARCSEC
+from starcal_ros.filter.error_state import LENS, SCALE
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+MIN_STARS = 2
+"""Spots that a frame must have: two fix its attitude."""
+
+_ITERATIONS = 50
+_CONVERGED = 1e-3       # of a sigma; the error left is the square of that
+_HALVINGS = 8
+_BEHIND_PX = 1e6        # residual of a star that the camera can not see: no weight is left
+_MEDIAN = 1.1774        # of the length of a normal vector in the plane, sigma 1 each axis
+_PINNED = 1e-3 * ARCSEC     # sigma of an attitude that is held
+
+
+class Spots(NamedTuple):
+    """Measured spots, frame after frame.
+
+    Attributes
+    ----------
+    frame : (m,) int array
+        Frame of each spot, from 0, not decreasing; each frame has MIN_STARS at least.
+    uv : (m, 2) array
+        Centroids, from the centre of the detector [px].
+    sigma : (m,) array
+        Standard deviation, each axis [px].
+    u_i : (m, 3) array
+        Apparent places where they are known, else anything.
+    point : (m,) int array
+        Number of the unknown direction of a spot, from 0; -1 where it is known.
+    """
+
+    frame: Ints
+    uv: Array
+    sigma: Array
+    u_i: Array
+    point: Ints
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """What fits best.
+
+    Attributes
+    ----------
+    intrinsics : (7,) array
+        Camera, as in `starcal_ros.core.camera`.
+    covariance : (7, 7) array
+        Of its errors for the stated sigmas; zero where not free.
+    C_si : (n, 3, 3) array
+        Attitude of each frame.
+    points : (p, 3) array
+        Unit vectors of the unknown directions, in the axes of C_si.
+    residual : (m, 2) array
+        Measured minus predicted centroid [px].
+    used : (m,) bool array
+        Spots inside the gate.
+    scale : float
+        Size of the residuals of the spots used over what the stated sigmas promise.
+    """
+
+    intrinsics: Array
+    covariance: Array
+    C_si: Array
+    points: Array
+    residual: Array
+    used: Mask
+    scale: float
+
+
+def adjust(spots: Spots, intrinsics: Array, C_si: Array, points: Array, pitch_mm: float,
+           prior_covariance: Array, gate: float) -> Adjusted:
+    """Fit camera, attitudes and unknown directions.
+
+    Parameters
+    ----------
+    spots : Spots
+    intrinsics : (7,) array
+        Where to begin, and the mean of the prior.
+    C_si : (n, 3, 3) array
+        Where to begin.
+    points : (p, 3) array
+        Where to begin; each is seen in two frames at least.
+    pitch_mm : float
+        Pixel pitch [mm].
+    prior_covariance : (7, 7) array
+        Of the prior; an intrinsic of variance 0 is held.
+    gate : float
+        Largest chi-square of a spot, two degrees of freedom, in units of the residuals' scale.
+    """
+    problem = _Problem(spots, intrinsics, pitch_mm, prior_covariance)
+    state = _State(intrinsics, C_si, points)
+    used: Mask = np.ones(len(spots.frame), bool)
+    for robust in (True, False):
+        state, scale = _settle(problem, state, used, robust)
+        residual = problem.residual(state)
+        length = np.linalg.norm(residual, axis=-1) / spots.sigma
+        used = _enough(spots.frame, length**2 <= gate * scale**2)
+    weight = np.where(used, 1.0 / spots.sigma, 0.0)
+    covariance = problem.normal(state, weight).camera_covariance()
+    return Adjusted(state.intrinsics, covariance, state.C_si, state.points, residual, used, scale)
+
+
+class _State(NamedTuple):
+    intrinsics: Array
+    C_si: Array
+    points: Array
+
+
+def _settle(problem: _Problem, state: _State, used: Mask, robust: bool) -> tuple[_State, float]:
+    """Iterate to the minimum; return it and the scale of the residuals."""
+    sigma = problem.spots.sigma
+    residual = problem.residual(state)
+    scale = 1.0
+    for _ in range(_ITERATIONS):
+        length = np.linalg.norm(residual, axis=-1) / sigma
+        scale = max(float(np.median(length[used])) / _MEDIAN, 1e-9)
+        weight = np.where(used, 1.0 / sigma, 0.0)
+        if robust:
+            weight = weight / (1.0 + (length / (3.0 * scale))**2)
+        normal = problem.normal(state, weight, residual)
+        step = normal.solve()
+        cost = _cost(residual, weight, problem, state)
+        for _ in range(_HALVINGS):
+            moved = problem.moved(state, step)
+            residual = problem.residual(moved)
+            if _cost(residual, weight, problem, moved) <= cost:
+                break
+            step = _Step(*(0.5 * part for part in step))
+        state = moved
+        sigmas = np.sqrt(np.diag(normal.camera_covariance()))
+        if (np.abs(step.camera) <= _CONVERGED * sigmas).all() and np.abs(
+                step.attitude).max() < 1e-3 * ARCSEC:
+            break
+    return state, scale
+
+
+def _cost(residual: Array, weight: Array, problem: _Problem, state: _State) -> float:
+    misfit = np.sum((residual * weight[:, None])**2)
+    return float(misfit + np.sum((problem.prior @ problem.offset(state))**2))
+
+
+def _enough(frame: Ints, used: Mask) -> Mask:
+    """Leave out the frames of which too little is left."""
+    count = np.bincount(frame, used)
+    return used & (count[frame] >= MIN_STARS)
+
+
+class _Step(NamedTuple):
+    camera: Array
+    attitude: Array
+    point: Array
+
+
+class _Problem:
+    """The spots and the prior; residuals and normal equations of a state."""
+
+    def __init__(self, spots: Spots, mean: Array, pitch_mm: float,
+                 prior_covariance: Array) -> None:
+        self.spots, self.mean, self.pitch_mm = spots, mean, pitch_mm
+        self.free = np.diag(prior_covariance) > 0.0
+        self.scale = SCALE[LENS][self.free]
+        block = prior_covariance[np.ix_(self.free, self.free)] / np.outer(self.scale, self.scale)
+        self.prior = np.linalg.inv(np.linalg.cholesky(block))       # a root of the information
+        self.first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
+        self.known = spots.point < 0
+        self.pinned = self._pinned()
+
+    def _pinned(self) -> Ints:
+        """Return the frames whose attitude is held: one of each group without a known place."""
+        spots, n = self.spots, len(self.first)
+        free = np.flatnonzero(~self.known)
+        if not len(free):
+            return np.empty(0, np.int64)
+        p = int(spots.point.max()) + 1
+        graph = sparse.coo_array((np.ones(len(free)), (spots.frame[free], n + spots.point[free])),
+                                 shape=(n + p, n + p))
+        _, group = connected_components(graph, directed=False)
+        group = group[:n]
+        anchored = np.unique(group[np.unique(spots.frame[self.known])])
+        label, first = np.unique(group, return_index=True)
+        return first[~np.isin(label, anchored)].astype(np.int64)
+
+    def offset(self, state: _State) -> Array:
+        """Return how far the free intrinsics are from the prior's mean, in units of SCALE."""
+        return (state.intrinsics - self.mean)[self.free] / self.scale
+
+    def directions(self, state: _State) -> Array:
+        if self.known.all():
+            return self.spots.u_i
+        return np.where(self.known[:, None], self.spots.u_i, state.points[self.spots.point])
+
+    def sight(self, state: _State) -> tuple[Array, Mask]:
+        """Return the directions in s, and which lie ahead; others become the boresight."""
+        u = self.directions(state)
+        r_s = (state.C_si[self.spots.frame] @ u[..., None])[..., 0]
+        ahead = r_s[:, 2] > 0.1
+        return np.where(ahead[:, None], r_s, (0.0, 0.0, 1.0)), ahead
+
+    def residual(self, state: _State) -> Array:
+        r_s, ahead = self.sight(state)
+        uv = camera.project(r_s, state.intrinsics, self.pitch_mm)
+        return np.where(ahead[:, None], self.spots.uv - uv, _BEHIND_PX)
+
+    def moved(self, state: _State, step: _Step) -> _State:
+        """Return the state freed of an error."""
+        points = state.points
+        if len(points):
+            points = points - (_tangent(points) @ step.point[..., None])[..., 0]
+            points /= np.linalg.norm(points, axis=-1, keepdims=True)
+        return _State(state.intrinsics - step.camera,
+                      rotation.orthonormalized(rotation.exp(-step.attitude) @ state.C_si), points)
+
+    def normal(self, state: _State, weight: Array, residual: Array | None = None) -> _Normal:
+        spots, p = self.spots, len(state.points)
+        r_s, _ = self.sight(state)
+        _, H_a, H_c = camera.linearize(r_s, state.intrinsics, self.pitch_mm)
+        w = weight[:, None, None]
+        H_a, H_c = w * H_a, w * H_c[..., self.free] * self.scale
+        z = np.zeros((len(weight), 2)) if residual is None else -residual * weight[:, None]
+
+        def per_frame(left: Array, right: Array) -> Array:
+            return np.add.reduceat(np.swapaxes(left, -1, -2) @ right, self.first, axis=0)
+
+        N_aa = per_frame(H_a, H_a)
+        N_aa[self.pinned] += np.eye(3) / _PINNED**2
+        known = self.prior.T @ self.prior
+        rows = H_c.reshape(2 * len(weight), len(self.scale))
+        N_cc = rows.T @ rows + known
+        b_c = rows.T @ z.reshape(-1) + known @ self.offset(state)
+        d = np.flatnonzero(~self.known)
+        H_d = np.empty((0, 2, 2))
+        if p:
+            T = state.C_si[spots.frame[d]] @ _tangent(state.points[spots.point[d]])
+            # A rotation by r x dr moves r by dr.
+            H_d = H_a[d] @ np.cross(r_s[d, :, None], T, axis=1)
+        return _Normal(N_aa, per_frame(H_a, H_c), per_frame(H_a, z[..., None])[..., 0], N_cc, b_c,
+                       self.free, _Points(spots.frame[d], spots.point[d], p, H_d, H_a[d], H_c[d],
+                                          z[d]))
+
+
+class _Points(NamedTuple):
+    """The rows of the spots without a place."""
+
+    frame: Ints
+    point: Ints
+    size: int
+    H_d: Array
+    H_a: Array
+    H_c: Array
+    z: Array
+
+
+class _Normal:
+    """The normal equations of one state, attitudes eliminated, Eq. (B.2)."""
+
+    def __init__(self, N_aa: Array, N_ac: Array, b_a: Array, N_cc: Array, b_c: Array, free: Mask,
+                 points: _Points) -> None:
+        # Whitened by the attitude block, N_xa N_aa^-1 N_ax is a square.
+        self._L = np.linalg.cholesky(N_aa)
+        whitened = np.linalg.solve(self._L, np.concatenate((N_ac, b_a[..., None]), axis=-1))
+        self._ac, self._a = whitened[..., :-1], whitened[..., -1]
+        self._S = N_cc - np.einsum('nij,nik->jk', self._ac, self._ac)
+        self._b = b_c - np.einsum('nij,ni->j', self._ac, self._a)
+        self._free, self._p = free, points.size
+        if points.size:
+            self._with_points(points)
+
+    def _with_points(self, points: _Points) -> None:
+        n, p = len(self._L), points.size
+        pairs = np.swapaxes(points.H_d, -1, -2)
+        N_dd = np.zeros((p, 2, 2))
+        np.add.at(N_dd, points.point, pairs @ points.H_d)
+        N_dd[~N_dd.any(axis=(1, 2))] = np.eye(2)        # all of its spots left out: it stays
+        N_dc, b_d = np.zeros((p, 2, self._S.shape[0])), np.zeros((p, 2))
+        np.add.at(N_dc, points.point, pairs @ points.H_c)
+        np.add.at(b_d, points.point, (pairs @ points.z[..., None])[..., 0])
+        blocks = np.linalg.solve(self._L[points.frame],
+                                 np.swapaxes(points.H_a, -1, -2) @ points.H_d)
+        rows = 3 * points.frame[:, None, None] + np.arange(3)[:, None]
+        columns = 2 * points.point[:, None, None] + np.arange(2)
+        self._ad = sparse.coo_array(
+            (blocks.ravel(), (np.broadcast_to(rows, blocks.shape).ravel(),
+                              np.broadcast_to(columns, blocks.shape).ravel())),
+            shape=(3 * n, 2 * p)).tocsc()
+        diagonal = sparse.bsr_array((N_dd, np.arange(p), np.arange(p + 1)))
+        S_dd = diagonal - self._ad.T @ self._ad
+        self._factor = splu(S_dd.tocsc(), diag_pivot_thresh=0.0, options={'SymmetricMode': True})
+        ac = self._ac.reshape(3 * n, -1)
+        self._dc = N_dc.reshape(2 * p, -1) - self._ad.T @ ac
+        self._d = b_d.reshape(-1) - self._ad.T @ self._a.reshape(-1)
+        self._S = self._S - self._dc.T @ self._factor.solve(self._dc)
+        self._b = self._b - self._dc.T @ self._factor.solve(self._d)
+
+    def solve(self) -> _Step:
+        """Return the error of the state."""
+        c = np.linalg.solve(self._S, self._b)
+        d = np.empty(0)
+        a = self._a - self._ac @ c
+        if self._p:
+            d = self._factor.solve(self._d - self._dc @ c)
+            a = a - (self._ad @ d).reshape(-1, 3)
+        attitude = np.linalg.solve(np.swapaxes(self._L, -1, -2), a[..., None])[..., 0]
+        step = np.zeros(7)
+        step[self._free] = c * SCALE[LENS][self._free]
+        return _Step(step, attitude, d.reshape(-1, 2))
+
+    def camera_covariance(self) -> Array:
+        """Return the covariance of the intrinsics, (7, 7)."""
+        scale = SCALE[LENS][self._free]
+        covariance = np.zeros((7, 7))
+        covariance[np.ix_(self._free, self._free)] = np.linalg.inv(self._S) * np.outer(
+            scale, scale)
+        return covariance
+
+
+def _tangent(u: Array) -> Array:
+    """Return two unit vectors square to unit vectors u, (..., 3, 2)."""
+    least = np.eye(3)[np.argmin(np.abs(u), axis=-1)]
+    first = np.cross(u, least)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack((first, np.cross(u, first)), axis=-1)

@@ -1,0 +1,67 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Where a bundle adjustment of identified stars begins: their spots, and an attitude a frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Spots
+from starcal_ros.core import rotation
+from starcal_ros.filter.acquisition import OUT_OF_PLACE, consensus
+from starcal_ros.measurements.samples import Frames
+from starcal_ros.measurements.star_directions import Placed
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def identified(frames: Frames, placed: Placed) -> Spots:
+    """Return the stars with a place, of the frames that have enough of them."""
+    use = usable(frames, placed)
+    u_i, uv, sigma = (part[use] for part in placed.stars)
+    frame = np.repeat(np.arange(len(frames)), frames.star_counts)[use]
+    number = np.unique(frame, return_inverse=True)[1]
+    return Spots(number, uv, sigma, u_i, np.full(len(number), -1))
+
+
+def usable(frames: Frames, placed: Placed) -> Mask:
+    """Tell which stars have a place and are in a frame that has enough of them."""
+    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+    use = np.isfinite(placed.stars.sigma)
+    return use & (np.bincount(frame, use, len(frames))[frame] >= MIN_STARS)
+
+
+def attitudes(spots: Spots, r_s: Array) -> Array:
+    """Return the attitude C_si, (n, 3, 3), of each frame by Wahba's problem (Markley 1988).
+
+    A wrong number puts a star anywhere in the sky and so takes the attitude with it: where a star
+    is out of place, only those count that agree with the attitude that most of them agree with.
+
+    Parameters
+    ----------
+    spots : Spots
+        With places.
+    r_s : (m, 3) array
+        Measured directions of the spots.
+    """
+    counts = np.ones(len(spots.frame))
+    C_si = _wahba(spots, r_s, counts)
+    first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
+    across = np.linalg.norm(r_s - r_s[first][spots.frame], axis=-1)
+    allowed = OUT_OF_PLACE * np.maximum.reduceat(across, first)
+    u_s = (C_si[spots.frame] @ spots.u_i[..., None])[..., 0]
+    out = np.linalg.norm(u_s - r_s, axis=-1) > allowed[spots.frame]
+    for k in np.unique(spots.frame[out]):
+        rows = spots.frame == k
+        agreeing = consensus(spots.u_i[rows], r_s[rows], float(allowed[k]))
+        if agreeing.sum() > MIN_STARS:
+            counts[rows] = agreeing
+    return _wahba(spots, r_s, counts)
+
+
+def _wahba(spots: Spots, r_s: Array, counts: Array) -> Array:
+    B = np.zeros((int(spots.frame[-1]) + 1, 3, 3))
+    np.add.at(B, spots.frame, (counts[:, None] * r_s)[:, :, None] * spots.u_i[:, None, :])
+    return rotation.wahba(B)

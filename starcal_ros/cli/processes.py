@@ -1,0 +1,188 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The whole suite in one go: four ROS 2 processes, a recording, and its calibration.
+
+No rclpy here: the nodes are processes of their own, started and ended as a user would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from starcal_ros.config import parameter_file, shipped as resources
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import N_STATES
+from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.recording.bag import open_bag
+from starcal_ros.recording.writer import typestore
+
+RECORDING, RESULT, FIGURE, REPORT, PARAMETERS = (
+    'run.mcap', 'result.json', 'convergence.png', 'report.html', 'demo.yaml')
+_SIMULATORS = ('star_tracker_sim', 'gyro_sim')
+_END_S = 30.0           # time that a node may take to end
+
+
+class NodeError(RuntimeError):
+    """A node ended as it should not; the message names it."""
+
+
+def node_command(name: str, parameters: Mapping[str, object], params_file: Path | None = None
+                 ) -> list[str]:
+    """Return the command line of a node of the suite.
+
+    Raises
+    ------
+    NodeError
+        Where there is no ROS 2.
+    """
+    if find_spec('rclpy') is None:
+        raise NodeError("no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'")
+    command = [sys.executable, '-m', 'starcal_ros.nodes.programs', name, '--ros-args']
+    if params_file is not None:
+        command += ['--params-file', str(params_file)]
+    for key, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        command += ['-p', f'{key}:={text}']
+    return command
+
+
+def run_live(scenario: Scenario, folder: Path,
+             on_progress: Callable[[float], None] = lambda part: None) -> Path:
+    """Simulate, estimate and record over ROS 2 and return the recording.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What to run.
+    folder : Path
+        Gets the recording and the parameter file of the run; must exist.
+    on_progress : callable
+        Called with the part of the run that is over, 0 to 1.
+
+    Raises
+    ------
+    NodeError
+        Where a node fails.
+    """
+    recording = folder / RECORDING
+    scenario = scenario.replace({'recorder.output': str(recording),
+                                 'estimator.wait_for_subscribers': 1,
+                                 'simulation.wait_for_subscribers': 2})
+    params_file = folder / PARAMETERS
+    params_file.write_text(parameter_file.dump(scenario), encoding='utf-8')
+    nodes: dict[str, subprocess.Popen[str]] = {}
+    try:
+        for name in ('recorder', 'estimator', *_SIMULATORS):
+            nodes[name] = subprocess.Popen(
+                node_command(name, {}, params_file), env={**os.environ, **isolated()},
+                text=True, stderr=subprocess.PIPE if name == 'gyro_sim' else None)
+        threading.Thread(target=_follow, args=(nodes['gyro_sim'], on_progress),
+                         daemon=True).start()
+        _wait_for_simulators(nodes)
+        # Nothing is lost at the beginning: the simulators wait for recorder and estimator, and
+        # that for the recorder. Nor at the end: the simulators end when all they sent has arrived,
+        # the estimator uses up what waits, and then the recorder.
+        for name in ('estimator', 'recorder'):
+            nodes[name].send_signal(signal.SIGINT)
+            _expect_end(name, nodes[name])
+    finally:
+        for process in nodes.values():
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+    return recording
+
+
+def isolated() -> dict[str, str]:
+    """Return environment variables with which nodes meet only each other, and quickly."""
+    variable = 'FASTDDS_DEFAULT_PROFILES_FILE'
+    if os.environ.get('ROS_DISTRO') in ('humble', 'jazzy'):     # these have Fast DDS 2
+        variable = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+    return {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),   # above 101: Linux's ephemeral ports
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            variable: str(resources.config_file('fastdds_fast_discovery.xml'))}
+
+
+def _follow(process: subprocess.Popen[str], on_progress: Callable[[float], None]) -> None:
+    """Turn the node's log lines that end in a percentage into progress, hand on the others."""
+    for line in process.stderr or ():
+        if match := re.search(r' (\d+) %$', line.rstrip()):
+            on_progress(int(match[1]) / 100.0)
+        else:
+            sys.stderr.write(line)
+
+
+def _wait_for_simulators(nodes: Mapping[str, subprocess.Popen[str]]) -> None:
+    while any(nodes[name].poll() is None for name in _SIMULATORS):
+        for name, process in nodes.items():
+            status = process.poll()
+            if status is not None and (status != 0 or name not in _SIMULATORS):
+                raise NodeError(f'{name} ended with status {status} before the run was over')
+        time.sleep(0.05)
+
+
+def _expect_end(name: str, process: subprocess.Popen[str]) -> None:
+    try:
+        status = process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        raise NodeError(f'{name} did not end within {_END_S:.0f} s of SIGINT') from None
+    if status != 0:
+        raise NodeError(f'{name} ended with status {status}')
+
+
+def make_room(folder: Path) -> None:
+    """Make the folder and remove what an earlier demo left in it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in (RECORDING, RESULT, FIGURE, REPORT, PARAMETERS):
+        (folder / name).unlink(missing_ok=True)
+
+
+def compare(recording: Path, stream: Stream) -> float:
+    """Return how much the last state published live differs from an offline one.
+
+    Parameters
+    ----------
+    recording : Path
+        With ``starcal/state``.
+    stream : Stream
+        After the calibration of the same recording.
+
+    Returns
+    -------
+    difference : float
+        Largest difference of the 16 values, relative to each value, and of the covariance,
+        relative to the sigmas of its row and column; infinite where there is nothing to compare.
+    """
+    live = last_state(recording)
+    if live is None or stream.belief is None:
+        return float('inf')
+    offline = ros_conventions.state_vector(stream.stamp_ns, stream.belief)
+    sigma = stream.belief.sigma
+    scale = np.concatenate((np.abs(offline[:1 + N_STATES]), np.outer(sigma, sigma).ravel()))
+    return float(np.max(np.abs(live - offline) / scale))
+
+
+def last_state(recording: Path) -> Any:
+    """Return the data of the last ``starcal/state`` of a recording, None where there is none."""
+    last, bag = None, open_bag(recording)
+    for _, _, messages, _ in bag.messages(['/starcal/state']):
+        last = messages
+    if last is None:
+        return None
+    begin, size = int(last.start[-1]), int(last.size[-1])
+    cdr = last.data[begin:begin + size].tobytes()
+    message: Any = typestore().deserialize_cdr(cdr, 'std_msgs/msg/Float64MultiArray')
+    return message.data

@@ -1,0 +1,60 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The groups that are named after a node: what only this node reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from starcal_ros.config.parameter import Spec
+
+Strings = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CentroidExtractorConfig:
+    """The centroid extractor node."""
+
+    wait_for_subscribers: Annotated[int, Spec(
+        'Subscribers that star_tracker/spots must have before images are listened to', '', 0, 100)
+    ] = 0
+
+
+@dataclass(frozen=True)
+class StarIdentifierConfig:
+    """The star identifier node."""
+
+    limiting_magnitude: Annotated[float, Spec(
+        'Faintest star that may be identified, Hp', 'mag', 2.0, 14.0)] = 8.0
+    wait_for_subscribers: Annotated[int, Spec(
+        'Subscribers that star_tracker/centroids must have before spots are listened to', '', 0,
+        100)] = 0
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """The recorder node."""
+
+    output: Annotated[str, Spec('File to write; must not exist')] = 'run.mcap'
+    topics: Annotated[Strings, Spec(
+        'Topics to record; empty is all topics of the suite')] = ()
+
+
+@dataclass(frozen=True)
+class PlayerConfig:
+    """The player node."""
+
+    bag: Annotated[str, Spec('Recording to publish again')] = ''
+    rate: Annotated[float, Spec(
+        'Recorded seconds a second; 0 is as fast as the subscribers take it', '', 0.0, 1e6)] = 1.0
+    start_offset_s: Annotated[float, Spec(
+        'Time of the recording to leave out at its beginning', 's', 0.0, 1e9)] = 0.0
+    loop: Annotated[bool, Spec('Begin again at the end of the recording')] = False
+    clock_hz: Annotated[float, Spec(
+        'Rate at which /clock is published; 0 is not at all', 'Hz', 0.0, 1000.0)] = 40.0
+    topics: Annotated[Strings, Spec(
+        'Topics to publish; empty is all but the results (starcal/*)')] = ()
+    wait_for_subscribers: Annotated[int, Spec(
+        'Subscribers that each sensor topic must have before the replay begins: the gyro, and '
+        'centroids, or else spots, or else images', '', 0, 100)] = 0

@@ -1,0 +1,116 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The attitude between frames: integrated from the last update, at each gyro sample."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.core.units import NS
+from starcal_ros.filter import augmentation
+from starcal_ros.filter.error_state import EPSILON, MATRIX, PHI, Belief, Filter
+from starcal_ros.measurements import preintegration
+from starcal_ros.measurements.samples import GyroSamples
+
+Array = NDArray[np.float64]
+
+
+class Track(NamedTuple):
+    """The integrated attitude at gyro stamps.
+
+    Attributes
+    ----------
+    stamp_ns : (n,) int64 array
+        Stamps.
+    C_gi : (n, 3, 3) array
+        Attitude.
+    covariance : (n, 3, 3) array
+        Of the attitude error, in i [rad^2].
+    rate : (n, 3) array
+        Angular velocity without bias, in g [rad/s].
+    """
+
+    stamp_ns: NDArray[np.int64]
+    C_gi: Array
+    covariance: Array
+    rate: Array
+
+    @classmethod
+    def empty(cls) -> Track:
+        """Return no attitude."""
+        return cls(np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty((0, 3, 3)),
+                   np.empty((0, 3)))
+
+
+class _Reached(NamedTuple):
+    """How far the integration from a frame has come, and the root of what the frame left."""
+
+    frame_ns: int
+    stamp_ns: int
+    C_gi: Array
+    gap_turn: float
+    turn: Array
+    states: Array
+
+
+class Tracker:
+    """Integrates from each update onwards, each gyro sample once."""
+
+    def __init__(self, filter_: Filter, period_ns: float) -> None:
+        self.filter = filter_
+        self._period_ns = period_ns
+        self._given_ns = np.iinfo(np.int64).min
+        self._reached: _Reached | None = None
+
+    def advance(self, belief: Belief, frame_ns: int, gyro: GyroSamples, until_ns: int) -> Track:
+        """Return the attitude at the samples that have not been given yet.
+
+        Parameters
+        ----------
+        belief : Belief
+            After the last frame.
+        frame_ns : int
+            Stamp of that frame.
+        gyro : GyroSamples
+            From the last sample at or before the frame on, or from an earlier one.
+        until_ns : int
+            Stamp before which the samples must lie.
+        """
+        estimate = belief.estimate
+        reached = self._reached
+        if reached is None or reached.frame_ns != frame_ns:
+            reached = _Reached(frame_ns, frame_ns, estimate.C_gi, 0.0, np.zeros(3),
+                               belief.whole_root)
+        first, last = np.searchsorted(
+            gyro.stamp_ns, [max(frame_ns, self._given_ns + 1), until_ns]).tolist()
+        samples = gyro[first:last]
+        if not len(samples):
+            return Track.empty()
+        self._given_ns = int(samples.stamp_ns[-1])
+        pieces = preintegration.cut(
+            gyro, np.array([reached.stamp_ns, self._given_ns]), self._period_ns)
+        gain = augmentation.gain(estimate.augmented)
+        C_gi = preintegration.track(reached.C_gi, pieces, estimate.bias, gain)
+        # A sample at the stamp from which the integration goes on is there without a step.
+        ends = np.concatenate(([reached.stamp_ns], pieces.end_ns))
+        C_gi = np.concatenate((reached.C_gi[None], C_gi))
+        gap_turn = reached.gap_turn + np.concatenate(([0.0], np.cumsum(pieces.gap_turn)))
+        turns = (pieces.rate - estimate.bias) @ gain.T * pieces.dt[:, None]
+        turn = reached.turn + np.concatenate((np.zeros((1, 3)), np.cumsum(turns, axis=0)))
+        states = reached.states
+        self._reached = _Reached(
+            frame_ns, self._given_ns, C_gi[-1], float(gap_turn[-1]), turn[-1], states)
+        rows = np.searchsorted(ends, samples.stamp_ns)
+        elapsed = (samples.stamp_ns - frame_ns)[:, None, None] * NS
+        root = states[PHI] + elapsed * (estimate.C_gi.T @ states[EPSILON])
+        if augmentation.has_matrix(estimate.augmented.shape[-1]):
+            by_row = states[MATRIX].reshape(3, 3, -1)
+            root = root + estimate.C_gi.T @ np.einsum('kj,ijn->kin', turn[rows], by_row)
+        spread = (self.filter.walk**2 * elapsed + self.filter.density[0]**2 * elapsed**3 / 3.0
+                  + (self.filter.gap_acceleration * gap_turn[rows, None, None])**2)
+        return Track(samples.stamp_ns, C_gi[rows],
+                     root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
+                     (samples.rate - estimate.bias) @ gain.T)

@@ -1,0 +1,392 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From messages to estimates: what live node and offline command both run.
+
+Gyro samples and frames come in as they arrive, in batches of any size. A frame is processed as
+soon as a gyro sample reaches its stamp, whatever the order in which the two topics came, so the
+estimates depend on the messages alone: a live run and the calibration of its recording agree.
+
+Nothing that comes in stops the stream. What can not be used is dropped, counted (`Counts`) and
+named once in `Stream.take_notices`. Which stamps are believed `timeline` tells, topic by topic.
+Where the clock of both was set back, the stream finishes what came before and starts again from
+the nominal values. Where that of one topic alone was, and the other goes on past the time at
+which it is caught up with, what came too late is dropped.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.config.scenario import EstimatorConfig, Scenario
+from starcal_ros.core.units import NS
+from starcal_ros.filter import augmentation
+from starcal_ros.filter.acquisition import AcquisitionError, acquire
+from starcal_ros.filter.attitude_track import Track, Tracker
+from starcal_ros.filter.error_state import EPSILON, SCALE, SIGMA_ACQUIRED, Belief, Filter, Update
+from starcal_ros.measurements import preintegration
+from starcal_ros.measurements.preintegration import GAP, Preintegrated
+from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
+from starcal_ros.measurements.star_directions import Places
+from starcal_ros.measurements.timeline import NEVER_NS, Dropped, Timeline
+
+Array = NDArray[np.float64]
+
+REPROJECTION_S = 600.0
+"""Time over which the reprojection error is taken, T18 Sec. 3.1 [s]."""
+
+_GYRO_KEPT_S = 3600.0       # readings kept while no frame comes [s]
+_FRAMES_KEPT = 20_000       # frames kept while no gyro comes
+_BATCH = 2000               # frames prepared at once
+_ONE_SIDED_NS = 5 * 10**9   # time that one topic goes on without the other's jump
+_NAMED = 20                 # notices of one kind, at most
+
+
+@dataclass
+class Counts:
+    """What came in and what became of it."""
+
+    gyro: int = 0                   # readings used
+    frames: int = 0                 # frames processed
+    stars: int = 0                  # stars used
+    rejected_stars: int = 0         # stars outside the gate
+    unusable_stars: int = 0         # not finite, behind the camera, or without a catalogue place
+    empty_frames: int = 0           # frames without a usable star
+    gyro_gaps: int = 0              # silences of the gyro
+    missing_gyro: int = 0           # readings that the stamps say are missing
+    missing_frames: int = 0         # frames that the stamps say are missing
+    dropped_messages: int = 0       # messages late, duplicate or not finite, also before restarts
+    acquisitions: int = 0           # times the attitude was found from the stars
+    restarts: int = 0               # times the clock was set back and all began again
+
+
+class FrameResult(NamedTuple):
+    """What one frame gave; per star in the order of its message.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Its stamp.
+    belief : Belief
+        After the frame.
+    uv_raster : (n, 2) array
+        Measured centroids [px].
+    residual : (n, 2) array
+        Measured minus predicted centroid after the update [px]; NaN for a star without place.
+    chi2 : (n,) array
+        Normalised innovation squared, two degrees of freedom; NaN likewise.
+    accepted : (n,) bool array
+        Stars used.
+    catalog_id : (n,) int64 array
+        Hipparcos numbers.
+    nis : float
+        Normalised innovation squared of all stars used, ``2 * accepted.sum()`` degrees of freedom.
+    track : Track
+        Attitude at the gyro samples before the frame, from the frame before it, where asked for.
+    """
+
+    stamp_ns: int
+    belief: Belief
+    uv_raster: Array
+    residual: Array
+    chi2: Array
+    accepted: NDArray[np.bool_]
+    catalog_id: NDArray[np.int64]
+    nis: float
+    track: Track
+
+
+class Stream:
+    """Estimates from gyro samples and frames as they come.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its nominal values, observer and estimator options; never its truth.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
+    """
+
+    def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
+        self._scenario, self._covariance = scenario, covariance
+        self.filter = Filter(scenario, covariance)
+        self._period_ns = 1e9 / scenario.gyro.rate_hz
+        self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
+        self._patience = scenario.estimator.reacquire_after_frames
+        self._places = Places(scenario)
+        self._gyro_time = Timeline[GyroSamples](
+            self._period_ns, kept=round(_GYRO_KEPT_S / NS / self._period_ns))
+        self._frame_time = Timeline[Frames](self._frame_period_ns, kept=_FRAMES_KEPT)
+        self._notices: list[str] = []
+        self._named: set[object] = set()
+        self._begin(restarts=0)
+
+    def _begin(self, restarts: int) -> None:
+        self.counts = Counts(restarts=restarts)
+        self.belief: Belief | None = None
+        self.stamp_ns = 0                               # of the last frame processed
+        self._gyro = GyroSamples.empty()
+        self._frames: list[Frames] = []
+        self._newest_frame_ns = NEVER_NS
+        self._refused_in_a_row = 0
+        self._recent: deque[tuple[int, Array, int]] = deque()
+        self._tracker = Tracker(self.filter, self._period_ns)
+
+    def use(self, options: EstimatorConfig) -> None:
+        """Go on with other gates and process noise, those that may change on the way."""
+        self._scenario = replace(self._scenario, estimator=options)
+        self.filter = self._tracker.filter = Filter(self._scenario, self._covariance)
+        self._patience = options.reacquire_after_frames
+
+    # Coming in
+
+    def add_gyro(self, samples: GyroSamples) -> None:
+        """Take gyro samples, in the order in which they arrived."""
+        finite = np.isfinite(samples.rate).all(axis=1)
+        if not finite.all():
+            self._notice('rate', f'gyro reading at {samples.stamp_ns[~finite][0]} ns is not '
+                         'finite: dropped')
+        self.counts.dropped_messages += int((~finite).sum())
+        parts = self._gyro_time.add(GyroSamples(samples.stamp_ns[finite], samples.rate[finite]))
+        self._account_dropped('gyro reading', self._gyro_time.take_dropped())
+        self._use_gyro(parts)
+
+    def add_frames(self, frames: Frames) -> None:
+        """Take frames, in the order in which they arrived."""
+        parts = self._frame_time.add(frames)
+        self._account_dropped('frame', self._frame_time.take_dropped())
+        self._use_frames(parts)
+
+    def _use_gyro(self, parts: list[GyroSamples]) -> None:
+        good = GyroSamples.concatenate(parts)
+        self.counts.gyro += len(good)
+        if not len(good):
+            return
+        before = self._gyro.stamp_ns[-1:] if len(self._gyro) else good.stamp_ns[:1]
+        steps = good.stamp_ns - np.concatenate((before, good.stamp_ns[:-1]))
+        silent = steps > GAP * self._period_ns
+        self.counts.gyro_gaps += int(silent.sum())
+        self.counts.missing_gyro += int(np.rint(steps[silent] / self._period_ns - 1).sum())
+        if silent.any():
+            self._notice('gap', f'gyro silent for {steps[silent][0] * NS:.3f} s before '
+                         f'{good.stamp_ns[silent][0]} ns: bridged')
+        self._gyro = GyroSamples.concatenate((self._gyro, good))
+
+    def _use_frames(self, parts: list[Frames]) -> None:
+        for part in parts:
+            stamps = part.stamp_ns
+            before = stamps[0] if self._newest_frame_ns == NEVER_NS else self._newest_frame_ns
+            steps = np.rint(np.diff(stamps, prepend=before) / self._frame_period_ns) - 1
+            self.counts.missing_frames += int(np.maximum(steps, 0).sum())
+            self._newest_frame_ns = int(stamps[-1])
+        self._frames += parts
+
+    def _account_dropped(self, what: str, dropped: list[Dropped]) -> None:
+        for number, stamp_ns, ahead in dropped:
+            self.counts.dropped_messages += number
+            self._notice((what, ahead), f'{what} at {stamp_ns} ns is ' + (
+                'ahead of those that follow' if ahead else 'not newer than the one before')
+                + ': dropped')
+
+    # Going out
+
+    @property
+    def waiting(self) -> int:
+        """Number of frames that wait for a gyro sample to reach them."""
+        return sum(map(len, chain(self._frames, *self._frame_time.later)))
+
+    def take_notices(self) -> list[str]:
+        """Return what happened that a user should know, once."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def process(self, tracked: bool = False) -> Iterator[FrameResult]:
+        """Process the frames that the gyro has reached; to be run to its end.
+
+        Parameters
+        ----------
+        tracked : bool
+            Give the attitude at the gyro samples before each frame along with it.
+        """
+        yield from self._process_reached(tracked)
+        while self._clock_was_set_back():
+            yield from self._process_reached(tracked)
+
+    def track(self) -> Track:
+        """Return the attitude at each gyro sample since the last call, from the last update.
+
+        With `process`, `tracked`, before it, each sample from the first frame on is given once.
+        """
+        return self._track(np.iinfo(np.int64).max)
+
+    @property
+    def tracking(self) -> bool:
+        """Whether the stars agree with the attitude: most of the last frame was used."""
+        return self.belief is not None and self._refused_in_a_row == 0
+
+    def attitude_now(self) -> tuple[int, Array]:
+        """Return the integrated attitude C_gi, (3, 3), at the last gyro sample, and its stamp.
+
+        Only after a frame has given an attitude.
+        """
+        assert self.belief is not None
+        estimate, last = self.belief.estimate, int(self._gyro.stamp_ns[-1])
+        if last <= self.stamp_ns:
+            return self.stamp_ns, estimate.C_gi
+        pieces = preintegration.cut(
+            self._gyro, np.array([self.stamp_ns, last]), self._period_ns)
+        gain = augmentation.gain(estimate.augmented)
+        return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
+
+    @property
+    def rate_covariance(self) -> Array:
+        """Covariance of a rate of the track, (3, 3) [rad^2/s^2]: noise of a reading, and bias."""
+        noise = np.eye(3) * (self.filter.walk**2 / (self._period_ns * NS))
+        if self.belief is None:
+            return noise
+        root = self.belief.root[EPSILON] * SCALE[EPSILON, None]
+        return noise + root @ root.T
+
+    @property
+    def reprojection_rms_px(self) -> Array:
+        """RMS residual of the stars used in the last ten minutes, u and v, (2,) [px]."""
+        squares = sum((part for _, part, _ in self._recent), np.zeros(2))
+        return np.sqrt(squares / max(sum(count for *_, count in self._recent), 1))
+
+    # Inside
+
+    def _clock_was_set_back(self) -> bool:
+        """Settle what became of a clock that was set back, where that can be told by now."""
+        gyro, frames = self._gyro_time, self._frame_time
+        if _one_sided(gyro, frames):
+            self._use_gyro(gyro.rejoin())
+            self._account_dropped('gyro reading', gyro.take_dropped())
+        elif _one_sided(frames, gyro):
+            self._use_frames(frames.rejoin())
+            self._account_dropped('frame', frames.take_dropped())
+        elif gyro.later and frames.later:
+            before_ns, dropped = gyro.end_ns, (
+                self.counts.dropped_messages + sum(map(len, self._frames)))
+            self._begin(self.counts.restarts + 1)
+            self.counts.dropped_messages = dropped
+            self._use_gyro(gyro.begin_next())
+            self._use_frames(frames.begin_next())
+            back_s = (before_ns - int(self._gyro.stamp_ns[0])) * NS
+            self._notices.append(f'stamps went back by {back_s:.3f} s to '
+                                 f'{self._gyro.stamp_ns[0]} ns: started again')
+        else:
+            return False
+        return True
+
+    def _process_reached(self, tracked: bool) -> Iterator[FrameResult]:
+        if not self._frames:
+            if len(self._gyro):
+                self._forget_gyro_before(int(self._gyro.stamp_ns[-1] - _GYRO_KEPT_S / NS))
+            return
+        frames = Frames.concatenate(self._frames)
+        reached_ns = self._gyro.stamp_ns[-1:].max(initial=NEVER_NS)
+        ready = int(np.searchsorted(frames.stamp_ns, reached_ns, side='right'))
+        excess = max(0, len(frames) - ready - _FRAMES_KEPT)
+        if excess:
+            self._notice('no gyro', f'{_FRAMES_KEPT} frames wait for the gyro: the oldest are '
+                         'dropped')
+            self.counts.dropped_messages += excess
+        self._frames = [frames[ready + excess:]] if ready + excess < len(frames) else []
+        for low in range(0, ready, _BATCH):
+            high = min(low + _BATCH, ready)
+            yield from self._process(frames[low:high], tracked)
+
+    def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
+        stars, notices = self._places.of(frames)
+        for key, text in notices:
+            self._notice(key, text)
+        self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())
+        begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
+        cuts = np.concatenate(([begin], frames.stamp_ns))
+        gyro = preintegration.preintegrate(
+            self._gyro, cuts, self.filter.start.bias, self._period_ns, self.filter.has_matrix)
+        for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
+            rows = slice(frames.first[k], frames.first[k + 1])
+            frame = Stars(*(part[rows] for part in stars))
+            belief = self.belief
+            if belief is not None:
+                belief = self.filter.propagate(
+                    belief, Preintegrated(*(part[k] for part in gyro)))
+            track = self._track(stamp_ns) if tracked else Track.empty()
+            self.stamp_ns = stamp_ns
+            self.counts.frames += 1
+            self.counts.empty_frames += not np.isfinite(frame.sigma).any()
+            start = self._with_attitude(belief, frame, gyro.reading[k])
+            if start is None:
+                continue
+            belief, frame = start
+            update = self.filter.update(belief, frame)
+            self.belief = update.belief
+            placed = np.isfinite(stars.sigma[rows])
+            self._account(update, placed)
+            yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows],
+                              np.where(placed[:, None], update.residual, np.nan),
+                              np.where(placed, update.chi2, np.nan), update.accepted,
+                              frames.catalog_id[rows], float(update.nis), track)
+        self._forget_gyro_before(self.stamp_ns)
+
+    def _track(self, until_ns: int) -> Track:
+        if self.belief is None:
+            return Track.empty()
+        return self._tracker.advance(self.belief, self.stamp_ns, self._gyro, until_ns)
+
+    def _with_attitude(self, belief: Belief | None, frame: Stars, reading: Array
+                       ) -> tuple[Belief, Stars] | None:
+        """Return a belief that a frame may correct, its attitude found afresh where it is lost."""
+        lost = belief is None or self._refused_in_a_row >= self._patience or bool(
+            (belief.tracker_sigma > SIGMA_ACQUIRED).any())
+        if belief is not None and not lost:
+            return belief, frame
+        try:
+            found = acquire(self.filter, belief, frame)
+        except AcquisitionError as error:
+            self._notice('acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
+            return None if belief is None else (belief, frame)
+        self.counts.acquisitions += 1
+        self._refused_in_a_row = 0
+        if belief is not None and self.counts.acquisitions <= _NAMED:
+            self._notices.append(f'attitude lost, found again at {self.stamp_ns} ns')
+        found_belief, frame = found
+        return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
+
+    def _account(self, update: Update, usable: NDArray[np.bool_]) -> None:
+        used = int(update.accepted.sum())
+        refused = int(usable.sum()) - used
+        self.counts.stars += used
+        self.counts.rejected_stars += refused
+        self._refused_in_a_row = self._refused_in_a_row + 1 if refused > used else 0
+        if self._refused_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
+            self._notices.append(f'most stars refused in {self._patience} frames up to '
+                                 f'{self.stamp_ns} ns: the attitude is sought afresh')
+        squares = np.sum(update.residual[update.accepted]**2, axis=0)
+        self._recent.append((self.stamp_ns, squares, used))
+        while self._recent[0][0] < self.stamp_ns - REPROJECTION_S / NS:
+            self._recent.popleft()
+
+    def _forget_gyro_before(self, stamp_ns: int) -> None:
+        # The reading at or before the stamp stays: the next one begins where it ends.
+        first = int(np.searchsorted(self._gyro.stamp_ns, stamp_ns, side='right')) - 1
+        if first > 0:
+            self._gyro = self._gyro[first:]
+
+    def _notice(self, key: object, text: str) -> None:
+        if key not in self._named:
+            self._named.add(key)
+            self._notices.append(text)
+
+
+def _one_sided(back: Timeline[Any], other: Timeline[Any]) -> bool:
+    """Tell whether a clock was set back and has caught up, while the other topic went on."""
+    overtaken_ns = back.overtaken_ns
+    return overtaken_ns is not None and other.end_ns >= overtaken_ns + _ONE_SIDED_NS

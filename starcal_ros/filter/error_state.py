@@ -1,0 +1,395 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The 16-state error filter on predicted star centroids (T18 Sec. 2.2).
+
+States
+------
+Errors are estimate minus truth ::
+
+    phi      0:3    attitude         C_gi_est = C_gi (I + [phi x]), phi in i   (T18 Eq. 7)
+    epsilon  3:6    gyro bias        b_est - b
+    Psi      6:9    fixed angles     C_sg_est = (I + [Psi x]) C_sg, Psi in s   (T18 Eq. 8)
+    9:16            intrinsics       u0, v0, f, k1, k2, p1, p2
+
+All that leaves this module is in these terms. Inside, the filter counts the attitude error of the
+star tracker instead, ``C_si_est = (I + [theta x]) C_si``, to first order ::
+
+    theta = Psi + C_si phi                                                             (E.1)
+
+A frame sees theta alone, so what it can not see, Psi, stays one and the same direction however
+the estimate moves. With phi that direction is ``phi = -C_is Psi``: it turns with every
+correction of C_si, and errors of 600 arcsec then make the filter believe after a minute that it
+knows Psi three times better than it does.
+
+Model
+-----
+Over an interval in which the gyro turns by Delta, with ``C_s1s0 = C_sg Delta C_gs`` and J of
+`preintegration` ::
+
+    theta1 = C_s1s0 theta0 + (I - C_s1s0) Psi + C_s1s0 C_sg J epsilon + n       (T18 Eq. 22)
+    predicted - measured centroid = H_s theta + H_lens delta - w               (T18 Eq. 23, 24)
+
+    n  white, N^2 dt I whatever the motion;  w  centroid noise;  all else constant
+
+T18's Eq. 17 has the opposite sign of phi' because its epsilon is the bias itself, which its
+attitude is integrated with; here the estimated bias is taken off first.
+
+With feedback the nominal values are corrected after each frame and the expected error returns to
+zero, so the linear model stays valid from large initial errors; without it the filter is the
+paper's open-loop one: the nominal values stay and the expected error grows.
+
+States may also walk at random, as `process_noise` says, and those of `augmentation` may follow the
+16; both are off by default.
+
+Inside the filter each state is divided by its `SCALE`, so that the roots hold numbers of like
+size. Every function takes leading batch axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from starcal_ros.config.models import detector, intrinsics, mounting_matrix
+from starcal_ros.config.scenario import ProcessNoiseConfig, Scenario, SigmaConfig
+from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
+from starcal_ros.filter import augmentation, process_noise
+from starcal_ros.measurements.preintegration import Preintegrated
+from starcal_ros.measurements.samples import Stars
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+PHI, EPSILON, PSI, LENS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 16)
+THETA = PHI                                     # the same three places inside the filter
+N_STATES = 16
+MATRIX, AUGMENTED = slice(16, 25), slice(16, None)      # where they are on
+CALIBRATED = slice(3, 16)                       # all but the attitude
+STATE_NAMES = ('phi_x', 'phi_y', 'phi_z', 'epsilon_x', 'epsilon_y', 'epsilon_z',
+               'psi_x', 'psi_y', 'psi_z', *camera.INTRINSICS)
+STATE_UNITS = (*('arcsec',) * 3, *('deg/h',) * 3, *('arcsec',) * 3, 'px', 'px', 'mm', 'mm^-2',
+               'mm^-4', 'mm^-1', 'mm^-1')
+UNIT = np.array([*(ARCSEC,) * 3, *(DEG_PER_HOUR,) * 3, *(ARCSEC,) * 3, *(1.0,) * 7])
+"""One human unit (STATE_UNITS) of each state, in the unit that the filter counts in."""
+SCALE = np.array([*(1e-5,) * 3, *(1e-8,) * 3, *(1e-5,) * 3, 0.1, 0.1, 1e-4, 1e-6, 1e-8, 1e-6,
+                  1e-6])
+
+_FIELD = 1.5            # a star may be predicted this far out, in half diagonals
+_SCALES = np.append(SCALE, augmentation.SCALE)
+_RESCALE = _SCALES / _SCALES[:, None]
+_KINDS = (3, 3, 2, 1, 1, 1, 1, 1)       # calibrated states of each kind that a SigmaConfig has
+
+SIGMA_ACQUIRED = 1.0 * DEG
+"""Attitude sigma given to a first fix: wide against its error, so that the frame's own update,
+and not the fix, is what the estimate knows."""
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """What is believed: the values that the filter's errors are errors of.
+
+    Attributes
+    ----------
+    C_gi : (..., 3, 3) array
+        Attitude, i to g.
+    bias : (..., 3) array
+        Gyro bias [rad/s].
+    C_sg : (..., 3, 3) array
+        Mounting, g to s.
+    intrinsics : (..., 7) array
+        Camera, as in `starcal_ros.core.camera`.
+    augmented : (..., m) array
+        What `augmentation` adds to these, if anything.
+    reading : (..., 3) array
+        The gyro's reading at the stamp, for the time offset [rad/s].
+    """
+
+    C_gi: Array
+    bias: Array
+    C_sg: Array
+    intrinsics: Array
+    augmented: Array = field(default_factory=lambda: np.empty(0))
+    reading: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def C_si(self) -> Array:
+        """Attitude of the star tracker, (..., 3, 3), i to s."""
+        return self.C_sg @ self.C_gi
+
+    def without(self, error: Array) -> Nominal:
+        """Return the values freed of an error (..., 16 + m), its attitude part theta."""
+        turn = rotation.exp(-np.stack((error[..., THETA], error[..., PSI])))
+        C_sg = rotation.orthonormalized(turn[1] @ self.C_sg)
+        C_gi = rotation.orthonormalized(np.swapaxes(C_sg, -1, -2) @ turn[0] @ self.C_si)
+        return Nominal(C_gi, self.bias - error[..., EPSILON], C_sg,
+                       self.intrinsics - error[..., LENS],
+                       augmentation.freed(self.augmented, error[..., AUGMENTED], self.C_sg),
+                       self.reading)
+
+    def minus(self, truth: Nominal) -> Array:
+        """Return the error (..., 16 + m) of these values, its attitude part theta."""
+        return np.concatenate((
+            rotation.log(self.C_si @ np.swapaxes(truth.C_si, -1, -2)),
+            self.bias - truth.bias,
+            rotation.log(self.C_sg @ np.swapaxes(truth.C_sg, -1, -2)),
+            self.intrinsics - truth.intrinsics,
+            augmentation.error(self.augmented, truth.augmented, self.C_sg)), axis=-1)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Nominal values, the error expected of them, and the covariance of that error.
+
+    Attributes
+    ----------
+    nominal : Nominal
+        Values.
+    error : (..., n) array
+        Expected error of the n = 16 + m values, its attitude part theta; zero with feedback.
+    root : (..., n, n) array
+        Root of the error covariance, each state in units of SCALE, the attitude part theta.
+    """
+
+    nominal: Nominal
+    error: Array
+    root: Array
+
+    @property
+    def estimate(self) -> Nominal:
+        """The best values: the nominal ones less their expected error."""
+        return self.nominal.without(self.error) if self.error.any() else self.nominal
+
+    @property
+    def whole_root(self) -> Array:
+        """Root of the covariance, (..., n, n), in the filter's units, the attitude part phi."""
+        root = self.root * _SCALES[:self.root.shape[-1], None]
+        C_is = np.swapaxes(self.nominal.C_si, -1, -2)
+        root[..., PHI, :] = C_is @ (root[..., THETA, :] - root[..., PSI, :])
+        if root.shape[-1] > N_STATES:
+            root[..., AUGMENTED, :] = augmentation.outer(
+                root[..., AUGMENTED, :], self.nominal.augmented, self.nominal.C_sg)
+        return root
+
+    @property
+    def state_root(self) -> Array:
+        """Root of the covariance of T18's states, (..., 16, 16), in the filter's units."""
+        return kalman.marginal(self.whole_root, N_STATES)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of T18's states, (..., 16, 16), in the filter's units."""
+        root = self.state_root
+        return root @ np.swapaxes(root, -1, -2)
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviation of T18's states, (..., 16), in the filter's units."""
+        root = self.state_root
+        return np.sqrt(np.einsum('...ij,...ij->...i', root, root))
+
+    @property
+    def augmented_sigma(self) -> Array:
+        """Standard deviation of the augmented states, (..., m), in the filter's units."""
+        return np.linalg.norm(self.whole_root[..., AUGMENTED, :], axis=-1)
+
+    @property
+    def tracker_sigma(self) -> Array:
+        """Standard deviation of theta, (..., 3): the attitude of the star tracker [rad]."""
+        return SCALE[THETA] * np.linalg.norm(self.root[..., THETA, :], axis=-1)
+
+    def nees(self, truth: Nominal) -> Array:
+        """Return the normalised estimation error squared, (...), of n degrees of freedom."""
+        error = self.estimate.minus(truth) / _SCALES[:self.root.shape[-1]]
+        return np.sum(np.linalg.solve(self.root, error[..., None])**2, axis=(-2, -1))
+
+
+class Update(NamedTuple):
+    """What one frame did.
+
+    Attributes
+    ----------
+    belief : Belief
+        After the frame.
+    chi2 : (..., n) array
+        Normalised innovation squared of each star, two degrees of freedom.
+    accepted : (..., n) bool array
+        Stars that passed the gate and were used.
+    nis : (...) array
+        Normalised innovation squared of all the stars used together.
+    residual : (..., n, 2) array
+        Measured minus predicted centroid after the update, linearised [px].
+    """
+
+    belief: Belief
+    chi2: Array
+    accepted: Mask
+    nis: Array
+    residual: Array
+
+
+class Filter:
+    """The filter of one scenario: its constants, and the steps as functions of a `Belief`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Nominal values and estimator options.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
+    """
+
+    def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
+        options = scenario.estimator
+        self.detector = detector(scenario.camera)
+        self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
+        self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
+        self.gate = float(chi2.ppf(options.gate_probability, 2))
+        self.feedback = options.feedback
+        augmented = augmentation.initial_sigma(options.augment)
+        self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
+                             mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
+                             np.zeros_like(augmented))
+        self.initial_sigma = np.concatenate((
+            np.full(3, SIGMA_ACQUIRED), _vector(options.initial_sigma), augmented))
+        self.tolerance = _vector(options.tolerance)
+        self.density = _vector(options.process_noise) / 60.0        # of the walks, per sqrt(s)
+        self.has_matrix = augmentation.has_matrix(len(augmented))
+        self.scale = _SCALES[:len(self.initial_sigma)]
+        self._start_root = np.diag(self.initial_sigma / self.scale)
+        if covariance is not None:
+            self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
+                covariance / np.outer(SCALE[CALIBRATED], SCALE[CALIBRATED]))
+        half = 0.5 * np.hypot(self.detector.width, self.detector.height) * self.detector.pitch_mm
+        self._cos_field = float(np.cos(np.arctan(_FIELD * half / scenario.camera.focal_length_mm)))
+
+    def begin(self, C_gi: Array) -> Belief:
+        """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
+        batch, n, start = C_gi.shape[:-2], len(self.scale), self.start
+        root = np.broadcast_to(self._start_root, (*batch, n, n))
+        nominal = Nominal(C_gi, *(
+            np.broadcast_to(part, (*batch, *part.shape))
+            for part in (start.bias, start.C_sg, start.intrinsics, start.augmented)))
+        return Belief(nominal, np.zeros((*batch, n)), root)
+
+    def reacquired(self, belief: Belief, C_gi: Array) -> Belief:
+        """Return the belief with its attitude found afresh, the calibration kept."""
+        estimate = belief.estimate
+        known = np.swapaxes(belief.root[..., 3:, :], -1, -2)
+        root = np.zeros_like(belief.root)
+        root[..., 3:, 3:] = np.swapaxes(np.linalg.qr(known, mode='r'), -1, -2)
+        root[..., THETA, THETA] = np.eye(3) * (SIGMA_ACQUIRED / SCALE[THETA])
+        return Belief(replace(estimate, C_gi=C_gi), np.zeros_like(belief.error), root)
+
+    def propagate(self, belief: Belief, gyro: Preintegrated) -> Belief:
+        """Carry a belief over the interval that the gyro accounts for (T18 Eq. 22).
+
+        Parameters
+        ----------
+        belief : Belief
+            At the beginning of the interval.
+        gyro : Preintegrated
+            For the bias ``start.bias``, with the derivative by M where it is a state.
+        """
+        nominal, batch, n = belief.nominal, belief.error.shape[:-1], belief.error.shape[-1]
+        turn, J = augmentation.relinearized(
+            gyro.J, nominal.bias - self.start.bias, nominal.augmented, nominal.C_sg)
+        Delta = gyro.Delta @ rotation.exp(turn)
+        C_gi = rotation.orthonormalized(Delta @ nominal.C_gi)
+        C_s1g0 = nominal.C_sg @ Delta
+        C_s1s0 = C_s1g0 @ np.swapaxes(nominal.C_sg, -1, -2)
+        Phi = np.zeros((*batch, n, n))
+        Phi[..., range(n), range(n)] = 1.0
+        Phi[..., THETA, THETA] = C_s1s0
+        Phi[..., THETA, PSI] = np.eye(3) - C_s1s0
+        Phi[..., THETA, EPSILON] = B = C_s1g0 @ J[..., :3]
+        if augmentation.has_matrix(n - N_STATES):
+            Phi[..., THETA, MATRIX] = C_s1g0 @ J[..., 3:]
+        error = (Phi @ belief.error[..., None])[..., 0]
+        sigma = np.sqrt(self.walk**2 * gyro.duration
+                        + (self.gap_acceleration * gyro.gap_turn)**2)
+        Q_root = np.zeros((*batch, n, 3))
+        Q_root[..., range(3), range(3)] = (sigma / SCALE[0])[..., None]
+        if self.density.any():
+            Q_root = np.concatenate((Q_root, process_noise.root(
+                self.density, B, gyro.duration, n) / _SCALES[:n, None]), axis=-1)
+        root = kalman.predict(belief.root, Phi * _RESCALE[:n, :n], Q_root)
+        return Belief(replace(nominal, C_gi=C_gi, reading=gyro.reading), error, root)
+
+    def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
+        """Return the predicted centroids and their derivatives by the states (T18 Eq. 24).
+
+        Parameters
+        ----------
+        nominal : Nominal
+            Values to predict from.
+        u_i : (..., n, 3) array
+            Apparent places.
+
+        Returns
+        -------
+        uv : (..., n, 2) array
+            Predicted centroids [px].
+        H : (..., n, 2, 16 + m) array
+            d uv / d error, its attitude part theta.
+        in_view : (..., n) bool array
+            False for a star that lies well outside the field of view; its row means nothing.
+        """
+        C_si, m = nominal.C_si, nominal.augmented.shape[-1]
+        if augmentation.has_offset(m):
+            rate_s, shift = augmentation.shift(
+                nominal.augmented, nominal.C_sg, nominal.reading - nominal.bias)
+            C_si = shift @ C_si
+        r_s = u_i @ np.swapaxes(C_si, -1, -2)
+        # Far outside the field the distortion means nothing, and its uncertainty everything.
+        in_view = r_s[..., 2] > self._cos_field * np.sqrt(np.sum(r_s * r_s, axis=-1))
+        if not in_view.all():
+            r_s = np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0))
+        uv, H_s, H_intrinsics = camera.linearize(r_s, nominal.intrinsics, self.detector.pitch_mm)
+        H = np.zeros((*H_s.shape[:-1], N_STATES + m))
+        H[..., THETA] = H_s
+        H[..., LENS] = H_intrinsics
+        if augmentation.has_offset(m):
+            H[..., THETA] = H_s @ shift[..., None, :, :]
+            H[..., -1] = -_apply(H_s, rate_s)
+        return uv, H, in_view
+
+    def update(self, belief: Belief, stars: Stars, gated: bool = True) -> Update:
+        """Correct a belief with a frame (T18 Eq. 23 to 26).
+
+        Parameters
+        ----------
+        belief : Belief
+            At the frame's stamp.
+        stars : Stars
+            The frame.
+        gated : bool
+            Refuse stars whose chi-square lies outside the gate.
+        """
+        uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
+        z, scale = uv - stars.uv, _SCALES[:H.shape[-1]]
+        innovation = kalman.innovate(belief.root, H * scale, z - _apply(H, belief.error),
+                                     stars.sigma)
+        usable = in_view & np.isfinite(stars.sigma)
+        accepted = usable & (innovation.chi2 <= self.gate) if gated else usable
+        step, root, nis = kalman.correct(belief.root, innovation, accepted)
+        error = belief.error + scale * step
+        residual = _apply(H, error) - z
+        nominal = belief.nominal
+        if self.feedback:
+            nominal, error = nominal.without(error), np.zeros_like(error)
+        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual)
+
+
+def _apply(H: Array, x: Array) -> Array:
+    """Return H x, (..., n, 2), of H (..., n, 2, k) and x (..., k)."""
+    return (H @ x[..., None, :, None])[..., 0]
+
+
+def _vector(config: SigmaConfig | ProcessNoiseConfig) -> Array:
+    """Return the numbers for the 13 calibrated states, in the filter's units."""
+    return np.repeat(astuple(config), _KINDS) * UNIT[CALIBRATED]

@@ -1,0 +1,173 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Spots to stars where attitude and camera are known roughly: a gate, one to one, and a fit.
+
+Model
+-----
+A view is what is believed of one frame: attitude and camera, with the covariance of their ten
+errors ``[Psi, u0, v0, f, k1, k2, p1, p2]``, estimate minus truth. A star of the catalogue is
+expected at uv, and a spot z is its image if ::
+
+    (z - uv)' S^-1 (z - uv) < GATE,    S = H P H' + sigma^2 I                      (I.1)
+
+and neither is another star within the gate of that spot nor another spot within the gate of that
+star: where two may be meant, none is taken. `fitted` then moves the view to where the stars that
+were found say, by an iterated Kalman update (Gauss-Newton with P as the prior).
+
+How much of it may be chance: of n spots thrown at random on a detector of area A, the number that
+fall into gates of the areas a_k is Poisson's with the mean n sum(a_k) / A             (I.2)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, poisson
+
+from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core.camera import Detector
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+GATE = float(chi2.ppf(0.999, 2))
+"""Chi-square of two degrees of freedom that one image of a star in a thousand exceeds."""
+
+RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a miss whose axes have sigma 1."""
+
+_ITERATIONS = 5
+
+
+class View(NamedTuple):
+    """What is believed of the attitude and the camera of one frame.
+
+    Attributes
+    ----------
+    C_si : (3, 3) array
+        Attitude of the star tracker.
+    intrinsics : (7,) array
+        Camera, as in `starcal_ros.core.camera`.
+    root : (10, 10) array
+        Root of the covariance of their errors: Psi in s [rad], then the intrinsics.
+    """
+
+    C_si: Array
+    intrinsics: Array
+    root: Array
+
+    @classmethod
+    def around(cls, C_si: Array, attitude_covariance: Array, intrinsics: Array,
+               camera_covariance: Array) -> View:
+        """Return the view with independent errors of attitude (3, 3) and camera (7, 7)."""
+        root = np.zeros((10, 10))
+        root[:3, :3] = _root(attitude_covariance)
+        root[3:, 3:] = _root(camera_covariance)
+        return cls(C_si, intrinsics, root)
+
+    def moved(self, error: Array) -> View:
+        """Return the view less an error (10,)."""
+        return self._replace(C_si=rotation.exp(-error[:3]) @ self.C_si,
+                             intrinsics=self.intrinsics - error[3:])
+
+    def minus(self, other: View) -> Array:
+        """Return the difference of two views as an error (10,)."""
+        return np.concatenate((rotation.log(self.C_si @ other.C_si.T),
+                               self.intrinsics - other.intrinsics))
+
+
+def _root(covariance: Array) -> Array:
+    """Return a root of a covariance, which may be singular: intrinsics that are known."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+class Expected(NamedTuple):
+    """Where the stars of the catalogue should be.
+
+    Attributes
+    ----------
+    uv : (n, 2) array
+        Their images, from the centre of the detector [px].
+    H : (n, 2, 10) array
+        Derivatives by the errors of the view.
+    P : (n, 2, 2) array
+        Covariance of uv [px^2].
+    """
+
+    uv: Array
+    H: Array
+    P: Array
+
+
+def expected(view: View, u_i: Array, pitch_mm: float) -> Expected:
+    """Return the images of the stars u_i (n, 3), all in front of the camera."""
+    uv, H_rotation, H_camera = camera.linearize(u_i @ view.C_si.T, view.intrinsics, pitch_mm)
+    H = np.concatenate((H_rotation, H_camera), axis=-1)
+    M = H @ view.root
+    return Expected(uv, H, M @ np.swapaxes(M, -1, -2))
+
+
+def match(stars: Expected, uv: Array, sigma: Array) -> tuple[Rows, Rows]:
+    """Return which spot is which star, by Eq. (I.1), one to one.
+
+    Parameters
+    ----------
+    stars : Expected
+        The catalogue, n stars.
+    uv : (m, 2) array
+        Spots, from the centre of the detector [px].
+    sigma : (m,) array
+        Standard deviation of a spot about its star's image, each axis [px].
+
+    Returns
+    -------
+    spot, star : (k,) int64 array
+        Rows that belong together.
+    """
+    z = uv[:, None] - stars.uv
+    z_u, z_v, variance = z[..., 0], z[..., 1], sigma[:, None]**2
+    S_uu, S_uv, S_vv = (stars.P[:, 0, 0] + variance, stars.P[:, 0, 1],
+                        stars.P[:, 1, 1] + variance)
+    inside = (S_vv * z_u**2 - 2.0 * S_uv * z_u * z_v + S_uu * z_v**2
+              < GATE * (S_uu * S_vv - S_uv**2))
+    alone = inside & (inside.sum(axis=0) == 1) & (inside.sum(axis=1) == 1)[:, None]
+    spot, star = np.nonzero(alone)
+    return spot, star
+
+
+def fitted(prior: View, u_i: Array, uv: Array, sigma: Array, pitch_mm: float) -> View:
+    """Return the view that prior and most stars (n) agree on, and its covariance."""
+    view = prior
+    for _ in range(_ITERATIONS):
+        stars, deviation = expected(view, u_i, pitch_mm), view.minus(prior)
+        miss = np.linalg.norm(stars.uv - uv, axis=-1)
+        scale = np.maximum(np.median(miss) / RAYLEIGH_MEDIAN, sigma)
+        # Geman and McClure's weight: it lets go of what misses by more than most.
+        innovation = kalman.innovate(prior.root, stars.H,
+                                     stars.uv - uv - stars.H @ deviation,
+                                     sigma * (1.0 + (miss / (3.0 * scale))**2))
+        error, root, _ = kalman.correct(prior.root, innovation, np.ones(len(uv), bool))
+        view = prior.moved(error)._replace(root=root)
+    return view
+
+
+def chance(matched: int, spots: int, stars: Expected, sigma: float, detector: Detector) -> float:
+    """Return how probable it is that random spots give as many matches, Eq. (I.2).
+
+    Parameters
+    ----------
+    matched, spots : int
+        Spots that were matched, less those that the attitude itself was made of; all spots.
+    stars : Expected
+        Stars that they might have matched.
+    sigma : float
+        Standard deviation of a spot about its star's image [px].
+    detector : Detector
+        Its area.
+    """
+    S = stars.P + sigma**2 * np.eye(2)
+    area = np.pi * GATE * np.sqrt(np.linalg.det(S)).sum()
+    return float(poisson.sf(matched - 1, spots * area / (detector.width * detector.height)))

@@ -1,0 +1,89 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The stars that a camera should see: apparent places about a line of sight, brightest first."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.core import camera
+from starcal_ros.core.camera import Detector
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky.apparent import Observer
+from starcal_ros.sky.refraction import Site, refracted
+
+Array = NDArray[np.float64]
+
+_TIMELESS_NS = unix_ns('2020-01-01')
+_MARGIN = 1.1           # of the detector: aberration, and what the camera is wrong by
+
+
+class Field(NamedTuple):
+    """Stars of the catalogue, brightest first.
+
+    Attributes
+    ----------
+    hip : (n,) int64 array
+        Hipparcos numbers.
+    u_i : (n, 3) array
+        Apparent places.
+    magnitude : (n,) array
+        Hp.
+    """
+
+    hip: NDArray[np.int64]
+    u_i: Array
+    magnitude: Array
+
+
+class StarField:
+    """The catalogue as an observer sees it.
+
+    Parameters
+    ----------
+    observer : Observer
+        Who looks, where the time is known. Without a time the places are those of 2020 without
+        parallax and aberration, which would shift a field by 20" and scale it by 1e-4 at most.
+    limiting_magnitude : float
+        Faintest star, Hp.
+    site : Site, optional
+        On the ground, where the time is known: places are those through the air.
+    """
+
+    def __init__(self, observer: Observer, limiting_magnitude: float,
+                 site: Site | None = None) -> None:
+        self._site = site
+        self._stars = catalog.load(limiting_magnitude)
+        self._observer = observer
+        self._timeless = dataclasses.replace(observer, velocity='barycentre')
+        self._brightest = np.argsort(self._stars.magnitude, kind='stable')
+        self._direction = erfa.s2c(self._stars.ra, self._stars.dec)[self._brightest]
+
+    def places(self, hip: NDArray[np.int64], stamp_ns: int | None) -> Array:
+        """Return the apparent places, (n, 3), of stars of the catalogue."""
+        return self._places(self._stars.rows(hip), stamp_ns)
+
+    def on(self, detector: Detector, C_si: Array, intrinsics: Array, stamp_ns: int | None,
+           count: int) -> Field:
+        """Return the brightest stars that fall on a detector or near it, `count` at most."""
+        corner = np.array([detector.width, detector.height]) / 2.0 * _MARGIN
+        edge = camera.unproject(corner * [[1, 1], [1, -1], [-1, 1], [-1, -1]], intrinsics,
+                                detector.pitch_mm)
+        near = np.flatnonzero(self._direction @ C_si[2] > edge[:, 2].min())
+        uv = camera.project(self._direction[near] @ C_si.T, intrinsics, detector.pitch_mm)
+        row = self._brightest[near[detector.contains(uv / _MARGIN)][:count]]
+        return Field(self._stars.hip[row], self._places(row, stamp_ns), self._stars.magnitude[row])
+
+    def _places(self, row: NDArray[np.int64], stamp_ns: int | None) -> Array:
+        when, who = ((_TIMELESS_NS, self._timeless) if stamp_ns is None
+                     else (stamp_ns, self._observer))
+        places = sky.apparent_places(self._stars, row, [when], [len(row)], who)
+        if self._site is None or stamp_ns is None:
+            return places
+        return refracted(places, np.full(len(row), stamp_ns), self._site)

@@ -1,0 +1,156 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Centroids of the stars of an image, each with its covariance and what may be wrong with it.
+
+Background and noise (`background`), spots over the threshold (`detection`), the shape that the
+bright ones have in common, and with that shape the place of each (`psf_fit`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from starcal_ros.config.image import CentroidConfig
+from starcal_ros.imaging.background import background
+from starcal_ros.imaging.cutouts import Shape, Stamps
+from starcal_ros.imaging.detection import Spots, find_spots
+from starcal_ros.imaging.files import top
+from starcal_ros.imaging.psf_fit import fit
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+
+SATURATED, BLENDED, EDGE, ELONGATED = 1, 2, 4, 8
+"""Flags of a centroid: pixels at the top of the range; another spot within reach; part of it
+outside the image; a shape that is not the frame's, such as a double star or a satellite."""
+
+_CANDIDATES, _SHAPE_SPOTS, _SHAPE_ROUNDS = 100, 20, 10
+_SETTLED = 5e-3                 # of the second moments, a change that does not matter
+_LEAST_SHOT = 1e-6              # counts: a million electrons a count show no shot noise
+_LEAST_SHAPE_SPOTS = 3
+_NEIGHBOUR_REACH_PX = 2         # of a neighbour's light into a stamp
+_TYPICAL = Shape(0.7, np.zeros(2))       # where too few spots show one
+_ELONGATED_SIGMAS, _ELONGATED_PART = 5.0, 1.0
+
+
+@dataclass(frozen=True)
+class Centroids:
+    """The stars of an image, brightest first.
+
+    Attributes
+    ----------
+    uv_raster : (n, 2) array
+        Places, (0, 0) the centre of the top-left pixel [px].
+    covariance : (n, 2, 2) array
+        Of their errors [px^2].
+    flux : (n,) array
+        Light of each [counts].
+    flags : (n,) uint8 array
+        Sums of SATURATED, BLENDED, EDGE, ELONGATED; 0 is a clean star.
+    shape : Shape
+        Spot and trail that the stars have in common.
+    """
+
+    uv_raster: Array
+    covariance: Array
+    flux: Array
+    flags: NDArray[np.uint8]
+    shape: Shape
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviation (n,) of a place, the mean of both axes [px]."""
+        return np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1) / 2.0)
+
+
+def extract(image: NDArray[np.generic], config: CentroidConfig) -> Centroids:
+    """Find and measure the stars of an image.
+
+    Parameters
+    ----------
+    image : (height, width) array
+        Counts, any real type, top row first.
+    config : CentroidConfig
+        Threshold, gain, saturation.
+
+    Raises
+    ------
+    ValueError
+        Where the image is not a plane of 16 by 16 pixels at least, all finite.
+    """
+    if image.ndim != 2 or min(image.shape) < 16:
+        raise ValueError(f'image of shape {image.shape}: height and width of 16 or more expected')
+    counts = image.astype(np.float32)
+    if not np.isfinite(counts).all():
+        raise ValueError(f'image with {np.sum(~np.isfinite(counts))} pixels that are not numbers')
+    saturation = config.saturation_counts
+    if saturation is None:
+        saturation = top(image.dtype)
+    saturated = counts >= saturation
+    sky = background(counts)
+    counts -= sky.level
+    spots = find_spots(counts, sky.noise, config.threshold)
+    if not len(spots.flux):
+        return Centroids(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0),
+                         np.empty(0, np.uint8), _TYPICAL)
+
+    def stamps(row: Rows, half: int) -> tuple[Stamps, Mask]:
+        cut = Stamps.of(counts, saturated, sky.noise, spots.uv_raster[row], half)
+        return cut, _crowded(spots.uv_raster, half)[row]
+
+    shape, gain = _common_shape(stamps, spots, config.gain_electrons)
+    row = np.arange(min(len(spots.flux), config.max_spots))
+    cut, crowded = stamps(row, shape.half)
+    rough = spots.take(row)
+    found = fit(cut, rough.uv_raster - cut.middle, shape, gain, config.gain_electrons is not None)
+    good = found.good
+    elongated = np.linalg.eigvalsh(found.moments)[:, 1] > np.maximum(
+        _ELONGATED_SIGMAS * found.moments_sigma,
+        _ELONGATED_PART * np.trace(shape.moments) / 2.0)
+    flags = (SATURATED * cut.saturated + BLENDED * crowded + EDGE * cut.cut
+             + ELONGATED * np.where(good, elongated, ~cut.saturated))
+    return Centroids(
+        np.where(good[:, None], cut.middle + found.offset, rough.uv_raster),
+        np.where(good[:, None, None], found.covariance, rough.moments + np.eye(2)),
+        np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape)
+
+
+def _common_shape(stamps: Callable[[Rows, int], tuple[Stamps, Mask]], spots: Spots,
+                  gain: float | None) -> tuple[Shape, float]:
+    """Return the shape that most of the clear spots have, and the electrons a count."""
+    clear = np.argsort(-spots.significance, kind='stable')[:_CANDIDATES]
+    if len(clear) < _LEAST_SHAPE_SPOTS:
+        return _TYPICAL, gain or np.inf
+    place, measured_gain = spots.uv_raster.copy(), np.inf
+    shape = Shape.of_moments(np.median(spots.moments[clear], axis=0))
+    for _ in range(_SHAPE_ROUNDS):
+        cut, crowded = stamps(clear, shape.half)
+        clean = np.flatnonzero(~(cut.saturated | cut.cut | crowded))[:_SHAPE_SPOTS]
+        cut, row = cut.take(clean), clear[clean]
+        if len(row) < _LEAST_SHAPE_SPOTS:
+            break
+        found = fit(cut, place[row] - cut.middle, shape, gain or measured_gain, gain is not None,
+                    iterations=2)
+        good = found.good
+        if good.sum() < _LEAST_SHAPE_SPOTS:
+            break
+        place[row[good]] = (cut.middle + found.offset)[good]
+        measured_gain = 1.0 / max(float(np.median(found.shot[good])), _LEAST_SHOT)
+        last, shape = shape, found.shape
+        if np.abs(shape.moments - last.moments).max() < _SETTLED * np.trace(shape.moments):
+            break
+    return shape, gain or measured_gain
+
+
+def _crowded(uv_raster: Array, half: int) -> Mask:
+    """Tell which spots have another one within reach of their stamp."""
+    if len(uv_raster) < 2:
+        return np.zeros(len(uv_raster), bool)
+    distance, _ = cKDTree(uv_raster).query(uv_raster, k=2, p=np.inf)
+    return distance[:, 1] < half + _NEIGHBOUR_REACH_PX

@@ -1,0 +1,140 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Managed nodes: configured, activated, deactivated and cleaned up from outside or by themselves.
+
+::
+
+    unconfigured ── configure ──► inactive ── activate ──► active
+                 ◄── cleanup ───           ◄── deactivate ──
+
+A subclass says what each of the four does. With the parameter ``autostart``, the default, a node
+is active as soon as it has been created, so that `ros2 run` alone is enough; without it, it waits
+for `ros2 lifecycle set` or a lifecycle manager.
+
+An inactive node subscribes to nothing, publishes nothing and holds up nobody. What it has worked
+out stays, and what it missed shows in the stamps of what comes next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from starcal_ros.nodes.base import parameters
+from starcal_ros.nodes.base.run_loop import USER_ERRORS
+
+
+class ManagedNode(LifecycleNode):
+    """A managed node with parameters of the scenario.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    groups : str
+        Groups of parameters to declare, as `parameters.declare` takes them.
+    options : dict
+        What rclpy's Node takes: ``namespace``, ``parameter_overrides``, ``context`` ...
+    """
+
+    def __init__(self, name: str, *groups: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.scenario = parameters.declare(self, 'autostart', *groups)
+        self._error: Exception | None = None
+        self._raising = False           # whether whoever asks for a transition hears of an error
+
+    def start(self) -> None:
+        """Become active where ``autostart`` says so, or raise what keeps it from that."""
+        if self.scenario.autostart:
+            self._do(self.trigger_configure)
+            self._do(self.trigger_activate)
+
+    # What a subclass does
+
+    def configure(self) -> None:
+        """Make ready all but the subscriptions."""
+
+    def activate(self) -> None:
+        """Subscribe."""
+
+    def deactivate(self) -> None:
+        """Use up what has arrived and end the subscriptions."""
+
+    def cleanup(self) -> None:
+        """Give back what `configure` took."""
+
+    # For the runtime
+
+    @property
+    def state(self) -> str:
+        """Label of the state: unconfigured, inactive, active or finalized."""
+        label: str = self._state_machine.current_state[1]       # rclpy has no public way
+        return label
+
+    @property
+    def finished(self) -> bool:
+        """True when the node has been shut down."""
+        return self.state == 'finalized'
+
+    def close(self) -> None:
+        """Shut the node down, from whatever state."""
+        if self.finished:
+            self._raise()               # what has ended it from inside
+        else:
+            self._do(self.trigger_shutdown)
+
+    # For rclpy
+
+    def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Answer to `configure`."""
+        return self._try(self.configure)
+
+    def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Answer to `activate`."""
+        return self._try(self.activate)
+
+    def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Answer to `deactivate`."""
+        return self._try(self.deactivate)
+
+    def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Answer to `cleanup`."""
+        return self._try(self.cleanup)
+
+    def on_shutdown(self, before: LifecycleState) -> TransitionCallbackReturn:
+        """Answer to `shutdown`: undo what the state before stands on."""
+        steps = {'active': [self.deactivate, self.cleanup], 'inactive': [self.cleanup]}
+        return self._try(*steps.get(before.label, []))
+
+    def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Answer to a defect: the node ends, and `close` raises it."""
+        return TransitionCallbackReturn.FAILURE
+
+    def _try(self, *steps: Callable[[], None]) -> TransitionCallbackReturn:
+        # rclpy itself would swallow an exception without a word.
+        for step in steps:
+            try:
+                step()
+            except USER_ERRORS as error:
+                if self._raising:
+                    self._error = error
+                else:
+                    self.get_logger().error(f'{step.__name__}: {error}')
+                return TransitionCallbackReturn.FAILURE
+            except Exception as error:
+                self._error = error
+                return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _do(self, trigger: Callable[[], Any]) -> None:
+        self._raising = True
+        trigger()
+        self._raising = False
+        self._raise()
+
+    def _raise(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error

@@ -1,0 +1,138 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Publishing in the rhythm of the stamps: at their own speed, faster, or as fast as it is taken.
+
+`Feed` is what the simulators and the player have in common. They make an iterator of what is to
+be published, in the order of the stamps; the feed publishes what is due.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import time
+from typing import Any
+
+from rclpy.node import Node
+
+from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base.flow import BATCH, FlowPublisher, drain
+
+Item = tuple[int, FlowPublisher, Any]       # stamp [ns], where, message or CDR bytes
+
+_PERIOD_S = 0.005
+_TURN_S = 0.1                   # longest turn: signals, services and parameters get theirs
+_ALWAYS_DUE = 2**63 - 1
+
+
+class SimulatedClock:
+    """A clock that shows a stamp when it begins and runs at a factor from then on.
+
+    Parameters
+    ----------
+    start_ns : int
+        Stamp that it shows when it begins.
+    factor : float
+        Simulated seconds a second; 0 shows a time at which everything is due.
+    real_ns : callable
+        The time that really passes.
+    """
+
+    def __init__(self, start_ns: int, factor: float,
+                 real_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._start_ns, self._factor, self._real_ns = start_ns, factor, real_ns
+        self._shown_ns = start_ns - 1               # when it last began to run or was stopped
+        self._running_since_ns: int | None = None
+        self._begun = self._stopped = False
+
+    def begin(self) -> None:
+        """Show the start, and run; until then nothing is due."""
+        self._shown_ns, self._begun = self._start_ns, True
+        self._running_since_ns = None if self._stopped else self._real_ns()
+
+    def stop(self) -> None:
+        """Stand still."""
+        self._shown_ns, self._stopped = self.now_ns(), True
+        self._running_since_ns = None
+
+    def go_on(self) -> None:
+        """Run again, from what is shown."""
+        self._stopped = False
+        if self._begun and self._running_since_ns is None:
+            self._running_since_ns = self._real_ns()
+
+    def now_ns(self) -> int:
+        """Return the stamp up to which everything is due."""
+        if self._running_since_ns is None:
+            return self._shown_ns
+        if self._factor == 0.0:
+            return _ALWAYS_DUE
+        real_ns = self._real_ns()
+        self._running_since_ns = self._running_since_ns or real_ns      # 0: no /clock yet
+        return self._shown_ns + round((real_ns - self._running_since_ns) * self._factor)
+
+
+def passing_time(node: Node) -> Callable[[], int]:
+    """Return the time by which a node runs [ns]: that of /clock with `use_sim_time`."""
+    if node.get_parameter('use_sim_time').value:
+        return lambda: int(node.get_clock().now().nanoseconds)
+    return time.monotonic_ns
+
+
+class Feed:
+    """Publish items when their stamps are due, from a timer of the node.
+
+    A subscriber that is behind delays the feed; what is late is then published at once.
+
+    Attributes
+    ----------
+    published : int
+        Number of items published.
+    paused : bool
+        True while nothing is published by request.
+    finished : bool
+        True when all items are published and acknowledged.
+    """
+
+    def __init__(self, node: Node, clock: SimulatedClock, items: Iterator[Item]) -> None:
+        self._clock, self._items = clock, items
+        self._next = next(items, None)
+        self._last_ns = self._next[0] if self._next else 0
+        self._used: set[FlowPublisher] = set()
+        self._timer = runtime.steady_timer(node, _PERIOD_S, self._on_timer)
+        self.published = 0
+        self.paused = self.finished = False
+
+    @property
+    def now_ns(self) -> int:
+        """The time of the clock, less what the subscribers delay the feed by."""
+        return min(self._clock.now_ns(), self._next[0] if self._next else self._last_ns)
+
+    def pause(self) -> None:
+        """Publish nothing until `resume`."""
+        self.paused = True
+        self._clock.stop()
+
+    def resume(self) -> None:
+        """Go on where `pause` stopped."""
+        self.paused = False
+        self._clock.go_on()
+
+    def _on_timer(self) -> None:
+        due_ns, turn_ends = self._clock.now_ns(), time.monotonic() + _TURN_S
+        for _ in range(BATCH):          # no more than a subscriber of this process takes at once
+            if (self._next is None or self._next[0] > due_ns or self.paused
+                    or time.monotonic() > turn_ends or runtime.stop_requested()):
+                break
+            self._last_ns, publisher, message = self._next
+            if not publisher.publish(message):
+                return
+            self._used.add(publisher)
+            self.published += 1
+            self._next = next(self._items, None)
+        if self._next is None and all(p.acknowledged for p in self._used):
+            self.finished = True
+            self._timer.cancel()
+
+    def close(self) -> None:
+        """Let the subscribers have what was published."""
+        drain(self._used)

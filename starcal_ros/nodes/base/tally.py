@@ -1,0 +1,70 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a node has done and what was wrong: counted, in diagnostics, and said once a kind."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from starcal_ros.nodes.base import run_loop as runtime
+
+_PERIOD_S = 1.0
+
+
+class Tally:
+    """Counts of a node, published on `diagnostics` once a second.
+
+    Parameters
+    ----------
+    node : Node
+    name : str
+        Of the status; the namespace stands before it.
+
+    Attributes
+    ----------
+    done : Counter
+        What has been done, by what it is.
+    faults : Counter
+        What was wrong with messages, by its kind.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self._prefix = f'{node.get_namespace().strip("/")}/'.lstrip('/')
+        self._name = name
+        self.done: Counter[str] = Counter()
+        self.faults: Counter[str] = Counter()
+        self._said: Counter[str] = Counter()
+        # Depth 1: the newest counts are all that anybody wants, and nobody is waited for.
+        self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', 1)
+        self._timer = runtime.steady_timer(node, _PERIOD_S, self._publish)
+
+    def fault(self, kind: str, text: str) -> None:
+        """Count what is wrong, and say it if it is the first of its kind."""
+        self.faults[kind] += 1
+        if self.faults[kind] == 1:
+            self._node.get_logger().error(f'{text}; more of this kind are counted only')
+
+    def end(self) -> None:
+        """Say what was done, and publish no more."""
+        runtime.end_timer(self._node, self._timer)
+        self._publish()
+        counts = self.done + self.faults
+        self._node.get_logger().info(
+            ', '.join(f'{number} {what}' for what, number in counts.items()) or 'nothing came')
+        self._node.destroy_publisher(self._publisher)
+
+    def _publish(self) -> None:
+        fresh, self._said = self.faults - self._said, self.faults.copy()
+        message = DiagnosticArray(status=[DiagnosticStatus(
+            name=f'{self._prefix}starcal: {self._name}',
+            level=DiagnosticStatus.ERROR if fresh else DiagnosticStatus.OK,
+            message=', '.join(f'{n} {kind}' for kind, n in fresh.items()) or 'working',
+            hardware_id=f'{self._prefix}star_tracker',
+            values=[KeyValue(key=what, value=str(number))
+                    for what, number in [*self.done.items(), *self.faults.items()]])])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)

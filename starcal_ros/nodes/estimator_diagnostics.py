@@ -1,0 +1,93 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The state of the estimator as diagnostic_msgs (REP-107): the calibration and its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import dataclasses
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from starcal_ros.filter import verdict
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import PHI, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.nodes.base.flow import MatchedSubscription
+
+_SILENCE_S = 3.0        # without a message before an input counts as silent
+
+
+class Diagnostics:
+    """Writes the diagnostics of one node; the names of the statuses begin with its namespace."""
+
+    def __init__(self, node: Node, inputs: Sequence[MatchedSubscription]) -> None:
+        self._node = node
+        self._prefix = f'{node.get_namespace().strip("/")}/'.lstrip('/')
+        self._inputs = inputs
+        self._looked_s = time.monotonic()
+        self._heard_s: dict[str, float] = {}        # by topic, as the next
+        self._received: dict[str, int] = {}
+
+    def message(self, stream: Stream, enabled: bool) -> DiagnosticArray:
+        """Return health, counts and the verdict on the calibration, and what is received."""
+        message = DiagnosticArray(status=[self._calibration(stream, enabled), self._of_inputs()])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        return message
+
+    def _calibration(self, stream: Stream, enabled: bool) -> DiagnosticStatus:
+        belief = stream.belief
+        values = {name: str(value) for name, value in dataclasses.asdict(stream.counts).items()}
+        values['waiting_frames'] = str(stream.waiting)
+        if not enabled:
+            return self._status('calibration', DiagnosticStatus.WARN, 'disabled', values)
+        if belief is None:
+            return self._status('calibration', DiagnosticStatus.WARN, 'no attitude yet', values)
+        judged = verdict.judge(stream.filter, belief, stream.tracking)
+        values['not_told_apart'] = '; '.join(
+            f'{", ".join(coupling.names)}: {verdict.advice(coupling.axis)}'
+            for coupling in judged.couplings) or 'none'
+        values['correlation_u0_psi_y'] = f'{judged.u0_psi_y:.4f}'
+        values['correlation_v0_psi_x'] = f'{judged.v0_psi_x:.4f}'
+        u, v = judged.equivalent_sigma_px
+        values['sigma_equivalent_principal_point_px'] = f'{u:.3g} {v:.3g}'
+        u, v = stream.reprojection_rms_px
+        values['reprojection_rms_px'] = f'{u:.4f} {v:.4f}'
+        for name, unit, sigma in zip(STATE_NAMES[PHI], STATE_UNITS[PHI],
+                                     belief.sigma[PHI] / UNIT[PHI]):
+            values[f'sigma_{name}'] = f'{sigma:.3g} {unit}'
+        for state in judged.states:
+            values[f'sigma_{state.name}'] = (
+                f'{state.sigma:.3g} {state.unit}, tolerance {state.tolerance:.3g}')
+        level = DiagnosticStatus.OK if stream.tracking else DiagnosticStatus.ERROR
+        return self._status('calibration', level, judged.summary, values)
+
+    def _of_inputs(self) -> DiagnosticStatus:
+        now_s, values, troubles = time.monotonic(), {}, []
+        for subscription in self._inputs:
+            topic, received = subscription.topic, subscription.received
+            fresh = received - self._received.get(topic, 0)
+            heard_s = now_s if fresh else self._heard_s.setdefault(topic, now_s)
+            if not subscription.publishers:
+                troubles.append(f'{topic} has no publisher')
+            elif now_s - heard_s > _SILENCE_S:
+                troubles.append(f'{topic} is silent for {now_s - heard_s:.0f} s')
+            values[f'{topic} publishers'] = str(subscription.publishers)
+            values[f'{topic} messages'] = str(received)
+            values[f'{topic} messages_per_second'] = (
+                f'{fresh / max(now_s - self._looked_s, 1e-3):.1f}')
+            values[f'{topic} lost_by_middleware'] = str(subscription.lost)
+            self._heard_s[topic], self._received[topic] = heard_s, received
+        if not self._inputs:
+            troubles.append('waiting for subscribers of the results')
+        self._looked_s = now_s
+        level = DiagnosticStatus.WARN if troubles else DiagnosticStatus.OK
+        return self._status('inputs', level, ', '.join(troubles) or 'receiving', values)
+
+    def _status(self, name: str, level: bytes, message: str, values: dict[str, str]
+                ) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            name=f'{self._prefix}starcal: {name}', level=level, message=message,
+            hardware_id=f'{self._prefix}star_tracker',
+            values=[KeyValue(key=key, value=value) for key, value in values.items()])

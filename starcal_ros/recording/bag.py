@@ -1,0 +1,243 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: one MCAP file or a rosbag2 directory, whoever wrote it, behind one interface.
+
+MCAP is read by `mcap_reader`, whole chunks at a time. The rest of what rosbag2 can write
+(sqlite3, and files or messages compressed one by one) is rare, and goes message by message
+through the `rosbags` library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path, PurePath
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Qos
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import parse_qos
+import yaml
+
+from starcal_ros.messages.cdr import Messages, RecordError
+from starcal_ros.recording.mcap_reader import McapFile
+
+_BATCH = 10_000
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag.
+
+    Attributes
+    ----------
+    name, type : str
+        As in ``/imu/data_raw`` and ``sensor_msgs/msg/Imu``.
+    encoding : str
+        Of its messages; ROS 2 writes ``cdr``.
+    qos : str
+        What its publishers offered, for a reader; '' where not recorded.
+    count : int
+        Number of messages that the bag holds.
+    """
+
+    name: str
+    type: str
+    encoding: str
+    qos: str
+    count: int
+
+
+class Bag(Protocol):
+    """What is common to all bags."""
+
+    files: list[Path]
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Attached files by name."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the bag, so far as it has been read."""
+
+    def topics(self) -> list[Topic]:
+        """Return the topics, sorted by name."""
+
+    def log_times(self, name: str) -> NDArray[np.int64]:
+        """Return when the messages of a topic were recorded, in the order of the bag, (n,) ns."""
+
+    def messages(self, names: Collection[str],
+                 ) -> Iterator[tuple[str, NDArray[np.int64], Messages, float]]:
+        """Read the messages of some topics in batches, in the order of the bag.
+
+        Yields
+        ------
+        name : str
+            The topic of the batch.
+        log_time : (n,) int64 array
+            When its messages were recorded [ns].
+        messages : Messages
+            The messages.
+        done : float
+            How much of the bag has been read, 0 to 1.
+        """
+
+
+def open_bag(path: Path) -> Bag:
+    """Open one recording.
+
+    Raises
+    ------
+    RecordError
+        If there is nothing at the path, or nothing that can be read as a recording.
+    """
+    if path.is_dir():
+        files, storage, compression = _read_metadata(path)
+        if storage == 'mcap' and not compression:
+            return _McapBag(files)
+        return _OtherBag(path, files)
+    if not path.exists():
+        raise RecordError(f'{path} does not exist; a recording is one .mcap file or a rosbag2 '
+                          'directory')
+    return _OtherBag(path, [path]) if path.suffix == '.db3' else _McapBag([path])
+
+
+def _read_metadata(path: Path) -> tuple[list[Path], str, str]:
+    """Read metadata.yaml: storage files, storage plugin, mode of compression."""
+    metadata = path / 'metadata.yaml'
+    if not metadata.exists():
+        names = ', '.join(sorted(file.name for file in path.glob('*.mcap')))
+        raise RecordError(f'{path} has no metadata.yaml, so it is no rosbag2 directory; '
+                          + (f'its files can be read one by one: {names}' if names else
+                             'a recording is one .mcap file or a rosbag2 directory'))
+    try:
+        info = yaml.safe_load(metadata.read_text())['rosbag2_bagfile_information']
+        files = [path / PurePath(name).name for name in info['relative_file_paths']]
+        storage, mode = str(info['storage_identifier']), info.get('compression_mode') or ''
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
+        raise RecordError(f'{metadata} cannot be read as the metadata of a rosbag2 directory: '
+                          f'{type(error).__name__} {" ".join(str(error).split())}') from error
+    missing = [file.name for file in files if not file.exists()]
+    if missing or not files:
+        raise RecordError(f'{metadata} names files that are missing: {", ".join(missing)}'
+                          if files else f'{metadata} names no files')
+    return files, storage, '' if mode.lower() == 'none' else mode
+
+
+class _McapBag:
+    """MCAP files, in the order of their recording."""
+
+    def __init__(self, files: list[Path]) -> None:
+        self.files = files
+        self._parts = [McapFile(file) for file in files]
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        return {name: data for part in self._parts for name, data in part.attachments.items()}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(text for part in self._parts for text in part.warnings)
+
+    def topics(self) -> list[Topic]:
+        merged: dict[str, list[Topic]] = {}
+        for part in self._parts:
+            for channel in part.channels.values():
+                schema = part.schemas.get(channel.schema_id)
+                merged.setdefault(channel.topic, []).append(Topic(
+                    channel.topic, schema.name if schema else '', channel.message_encoding,
+                    _describe_yaml(channel.metadata.get('offered_qos_profiles', '')),
+                    len(part.log_times(channel.id))))
+        return [_merge(merged[name]) for name in sorted(merged)]
+
+    def log_times(self, name: str) -> NDArray[np.int64]:
+        return np.concatenate([part.log_times(channel.id) for part in self._parts
+                               for channel in part.channels.values() if channel.topic == name])
+
+    def messages(self, names: Collection[str],
+                 ) -> Iterator[tuple[str, NDArray[np.int64], Messages, float]]:
+        n_bytes = sum(len(part.data) for part in self._parts)
+        before = 0
+        for part in self._parts:
+            wanted = {channel.id: channel.topic for channel in part.channels.values()
+                      if channel.topic in names}
+            for channel_id, log_time, messages in part.messages(wanted):
+                done = (before + part.position) / n_bytes
+                yield wanted[channel_id], log_time, messages, done
+            before += len(part.data)
+
+
+class _OtherBag:
+    """What `rosbags` reads and :class:`McapFile` does not."""
+
+    attachments: dict[str, bytes] = {}
+    warnings: tuple[str, ...] = ()
+
+    def __init__(self, path: Path, files: list[Path]) -> None:
+        self.files = files
+        self._path = path
+
+    def topics(self) -> list[Topic]:
+        topics: dict[str, list[Topic]] = {}
+        with self._reader() as reader:
+            for connection in reader.connections:
+                topics.setdefault(connection.topic, []).append(Topic(
+                    connection.topic, connection.msgtype,
+                    getattr(connection.ext, 'serialization_format', ''),
+                    _describe(getattr(connection.ext, 'offered_qos_profiles', [])),
+                    connection.msgcount))
+        return [_merge(topics[name]) for name in sorted(topics)]
+
+    def log_times(self, name: str) -> NDArray[np.int64]:
+        return np.concatenate([np.empty(0, np.int64)]
+                              + [log_time for _, log_time, _, _ in self.messages([name])])
+
+    def messages(self, names: Collection[str],
+                 ) -> Iterator[tuple[str, NDArray[np.int64], Messages, float]]:
+        with self._reader() as reader:
+            wanted = [c for c in reader.connections if c.topic in names]
+            for k, connection in enumerate(wanted):
+                rest = reader.messages([connection])
+                while batch := list(islice(rest, _BATCH)):
+                    yield (connection.topic, np.array([t for _, t, _ in batch], np.int64),
+                           Messages.join([bytes(data) for _, _, data in batch]), k / len(wanted))
+
+    @contextmanager
+    def _reader(self) -> Iterator[Reader]:
+        """Open the bag and turn the many errors of the libraries below into one."""
+        try:
+            with Reader(self._path) as reader:
+                yield reader
+        except RecordError:
+            raise
+        except Exception as error:
+            raise RecordError(f'{self._path} cannot be read: '
+                              f'{" ".join(str(error).split())}') from error
+
+
+def _merge(parts: list[Topic]) -> Topic:
+    """Join what several channels or files say of one topic."""
+    def words(values: list[str]) -> str:
+        return ' | '.join(sorted(set(filter(None, values))))
+    return Topic(parts[0].name, words([part.type for part in parts]),
+                 words([part.encoding for part in parts]), words([part.qos for part in parts]),
+                 sum(part.count for part in parts))
+
+
+def _describe_yaml(profiles: str) -> str:
+    try:
+        return _describe(parse_qos(yaml.safe_load(profiles) or []))
+    except (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError):
+        return 'unreadable'
+
+
+def _describe(profiles: list[Qos]) -> str:
+    """Say what publishers offered, as in 'reliable, volatile, keep_last 100'."""
+    return ' | '.join(sorted({
+        f'{qos.reliability.name}, {qos.durability.name}, {qos.history.name} {qos.depth}'.lower()
+        for qos in profiles}))

@@ -1,0 +1,229 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One MCAP file, read as whole chunks: the messages of a channel come as arrays.
+
+Chunks are decompressed in groups and their messages gathered through the message index, each
+one checked; where there is no index, or a wrong one, the records of the chunk are scanned.
+
+What a killed recorder leaves behind is read as far as it goes: a missing end, or a chunk that is
+cut short or fails its checksum, costs what it held and a warning, never the rest of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from io import BytesIO
+from pathlib import Path
+import struct
+import zlib
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Schema, Statistics
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.messages.cdr import Messages, RecordError
+from starcal_ros.recording.mcap_chunk import NO_ENTRIES, RECORD, Chunk, locate, scan
+
+MAGIC = b'\x89MCAP0\r\n'
+
+_GROUP_BYTES = 4 << 20
+_GARBLED = (struct.error, ValueError, McapError)
+
+
+class McapFile:
+    """The channels, chunks and attachments of one MCAP file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be opened or is not MCAP.
+
+    Attributes
+    ----------
+    channels, schemas : dict
+        By their ids.
+    attachments : dict of bytes
+        By their names.
+    data : (n_bytes,) uint8 array
+        The file, mapped into memory.
+    position : int
+        How far `messages` has come [bytes].
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.data = _map(path)
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.attachments: dict[str, bytes] = {}
+        self.position = 0
+        self._chunks: list[Chunk] = []
+        self._statistics: Statistics | None = None
+        self._warnings: dict[str, None] = {}
+        self._walk()
+        self._index_all_chunks()
+        self._compare_with_statistics()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the file, so far as it has been read."""
+        return tuple(self._warnings)
+
+    def log_times(self, channel: int) -> NDArray[np.int64]:
+        """Return the log times of a channel in the order of the file, (n,) ns."""
+        entries = [chunk.index.get(channel, NO_ENTRIES) for chunk in self._chunks]
+        return np.concatenate([NO_ENTRIES, *entries])[:, 0].astype(np.int64)
+
+    def messages(self, channels: Collection[int],
+                 ) -> Iterator[tuple[int, NDArray[np.int64], Messages]]:
+        """Read the messages of some channels, a few megabytes at a time.
+
+        Yields
+        ------
+        channel : int
+            One of the channel ids asked for.
+        log_time : (n,) int64 array
+            When the messages were recorded [ns].
+        messages : Messages
+            The messages, in the order of the file.
+        """
+        group: list[Chunk] = []
+        raws: list[bytes | memoryview] = []
+        for chunk in self._chunks:
+            raw = None if chunk.index.keys().isdisjoint(channels) else self._decompress(chunk)
+            if raw is not None:
+                group.append(chunk)
+                raws.append(raw)
+            if sum(map(len, raws)) >= _GROUP_BYTES:
+                self.position = chunk.offset
+                yield from self._read_group(group, raws, channels)
+                group, raws = [], []
+        yield from self._read_group(group, raws, channels)
+        self.position = len(self.data)
+
+    def _read_group(self, group: list[Chunk], raws: list[bytes | memoryview],
+                    channels: Collection[int],
+                    ) -> Iterator[tuple[int, NDArray[np.int64], Messages]]:
+        """Gather the messages of some channels from a few decompressed chunks."""
+        data = np.frombuffer(raws[0] if len(raws) == 1 else b''.join(raws), np.uint8)
+        edges = np.cumsum([0, *map(len, raws)])
+        for channel in channels:
+            found = locate(channel, [chunk.index for chunk in group], data, edges)
+            if found is None:
+                self._warn('the message index is wrong in or after the chunk at byte '
+                           f'{group[0].offset}: the records are scanned instead')
+                for chunk, raw in zip(group, raws):
+                    chunk.index, _ = scan(raw)
+                found = locate(channel, [chunk.index for chunk in group], data, edges)
+            if found is not None and len(found[1]):
+                yield channel, *found
+
+    def _walk(self) -> None:
+        """Go from record to record over the file."""
+        view = self.data.data
+        position, opcode, loose = len(MAGIC), 0, False
+        while opcode != Opcode.FOOTER:
+            end = position
+            if position + RECORD.size <= len(view):
+                opcode, length = RECORD.unpack_from(view, position)
+                end = position + RECORD.size + length
+            if not position < end <= len(view) or opcode == 0:
+                self._warn(f'the file breaks off at byte {position} of {len(view)}, as after a '
+                           'killed recorder; it is read as far as it goes')
+                if self._chunks:
+                    self._chunks[-1].index = {}
+                break
+            try:
+                self._take(opcode, position, view[position + RECORD.size:end])
+            except _GARBLED:
+                self._warn(f'the record at byte {position} is garbled and left out')
+            loose |= opcode == Opcode.MESSAGE
+            position = end
+        if loose:
+            records = view[len(MAGIC):]
+            self._chunks.append(Chunk(0, len(records), 0, '', records, {}))
+
+    def _take(self, opcode: int, position: int, content: memoryview) -> None:
+        """Keep what one record of the file says."""
+        if opcode == Opcode.CHUNK:
+            self._chunks.append(Chunk.parse(position, content))
+        elif opcode == Opcode.MESSAGE_INDEX and self._chunks:
+            channel, length = struct.unpack_from('<HI', content)
+            entries = np.frombuffer(content[6:6 + length], '<u8').reshape(-1, 2)
+            self._chunks[-1].index[channel] = entries
+        elif opcode == Opcode.ATTACHMENT:
+            (crc,) = struct.unpack('<I', content[-4:])
+            if crc and zlib.crc32(content[:-4]) != crc:
+                raise ValueError('attachment checksum')
+            attachment = Attachment.read(_stream(content))
+            self.attachments[attachment.name] = attachment.data
+        elif opcode == Opcode.STATISTICS:
+            self._statistics = Statistics.read(_stream(content))
+        else:
+            self._declare(opcode, content)
+
+    def _declare(self, opcode: int, content: bytes | memoryview) -> None:
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(_stream(content))
+            self.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(_stream(content))
+            self.channels[channel.id] = channel
+
+    def _index_all_chunks(self) -> None:
+        """Scan the chunks without an index, and those that alone declare their channels."""
+        for chunk in self._chunks:
+            if chunk.index and chunk.index.keys() <= self.channels.keys():
+                continue
+            raw = self._decompress(chunk)
+            if raw is not None:
+                chunk.index, others = scan(raw)
+                try:
+                    for opcode, content in others:
+                        self._declare(opcode, content)
+                except _GARBLED:
+                    self._warn(f'a record in the chunk at byte {chunk.offset} is garbled')
+
+    def _compare_with_statistics(self) -> None:
+        for channel, count in (self._statistics.channel_message_counts.items()
+                               if self._statistics else ()):
+            held = len(self.log_times(channel))
+            if held != count and channel in self.channels:
+                self._warn(f"by the file's statistics {self.channels[channel].topic} has {count} "
+                           f'messages, by its chunks {held}')
+
+    def _decompress(self, chunk: Chunk) -> bytes | memoryview | None:
+        try:
+            return chunk.decompress()
+        except RecordError as error:
+            self._warn(f'the chunk at byte {chunk.offset} is left out: {error}')
+            return None
+
+    def _warn(self, text: str) -> None:
+        self._warnings[f'{self.path.name}: {text}'] = None
+
+
+def _map(path: Path) -> NDArray[np.uint8]:
+    """Map an MCAP file into memory."""
+    try:
+        if path.stat().st_size < len(MAGIC):
+            raise RecordError(f'{path} is not an MCAP file: it has {path.stat().st_size} bytes')
+        data: NDArray[np.uint8] = np.memmap(path, np.uint8, 'r').view(np.ndarray)
+    except OSError as error:
+        raise RecordError(f'{path} cannot be read: {error.strerror}') from error
+    start = data[:len(MAGIC)].tobytes()
+    if start != MAGIC:
+        raise RecordError(f'{path} is not an MCAP file: it starts with {start!r}, not {MAGIC!r}')
+    return data
+
+
+def _stream(content: bytes | memoryview) -> ReadDataStream:
+    return ReadDataStream(BytesIO(content))

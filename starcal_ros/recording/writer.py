@@ -1,0 +1,237 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings written as MCAP with profile `ros2`, as rosbag2 would.
+
+Each topic carries the complete definition of its type (``ros2msg``), the hash of the type and
+the QoS its publisher offers, so that ``ros2 bag play``, rosbags and Foxglove need nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+import time
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.messages.cdr import IMU_TYPE, RecordError, encode_imu
+from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
+from starcal_ros.recording.mcap_writer import CHUNK_NS, McapWriter
+
+ENDLESS_NS = 2**63 - 1
+"""A duration without end, as ROS 2 writes it."""
+
+
+@dataclass(frozen=True)
+class Qos:
+    """What a publisher offers: the nine policies of ROS 2."""
+
+    history: str = 'keep_last'
+    depth: int = 100
+    reliability: str = 'reliable'
+    durability: str = 'volatile'
+    deadline_ns: int = ENDLESS_NS
+    lifespan_ns: int = ENDLESS_NS
+    liveliness: str = 'automatic'
+    liveliness_lease_duration_ns: int = ENDLESS_NS
+    avoid_ros_namespace_conventions: bool = False
+
+    @property
+    def profile(self) -> str:
+        """All policies as rosbag2 records them, YAML."""
+        def duration(ns: int) -> str:
+            return '{sec: %d, nsec: %d}' % divmod(ns, 10**9)
+        return (f'- history: {self.history}\n  depth: {self.depth}\n'
+                f'  reliability: {self.reliability}\n  durability: {self.durability}\n'
+                f'  deadline: {duration(self.deadline_ns)}\n'
+                f'  lifespan: {duration(self.lifespan_ns)}\n  liveliness: {self.liveliness}\n'
+                '  liveliness_lease_duration: '
+                f'{duration(self.liveliness_lease_duration_ns)}\n'
+                '  avoid_ros_namespace_conventions: '
+                f'{str(self.avoid_ros_namespace_conventions).lower()}')
+
+
+LATCHED = Qos(depth=1, durability='transient_local')
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Messages of one topic.
+
+    Attributes
+    ----------
+    topic, type_name : str
+        As in ``/imu/data_raw`` and ``sensor_msgs/msg/Imu``.
+    log_time_ns : (n,) int64 array
+        When each was recorded.
+    messages : (n, size) uint8 array, or n bytes
+        The messages in CDR.
+    qos : tuple of Qos
+        What each publisher offers.
+    """
+
+    topic: str
+    type_name: str
+    log_time_ns: NDArray[np.int64]
+    messages: NDArray[np.uint8] | Sequence[bytes]
+    qos: tuple[Qos, ...] = (Qos(),)
+
+
+def imu_batch(topic: str, samples: GyroSamples, frame_id: str = 'gyro',
+              angular_velocity_variance: float = 0.0) -> Batch:
+    """Encode gyro samples, recorded at their stamps; see `encode_imu`."""
+    return Batch(topic, IMU_TYPE, samples.stamp_ns,
+                 encode_imu(samples, frame_id, angular_velocity_variance))
+
+
+def centroids_batch(topic: str, frames: Frames) -> Batch:
+    """Encode star frames, recorded at their stamps."""
+    return Batch(topic, CLOUD_TYPE, frames.stamp_ns, encode_centroids(frames))
+
+
+@cache
+def typestore() -> Typestore:
+    """Return the messages of ROS 2 Kilted: their Python types, definitions and hashes."""
+    return get_typestore(Stores.ROS2_KILTED)
+
+
+def serialize(type_name: str, message: object) -> bytes:
+    """Encode one message of a type of :func:`typestore`, little-endian."""
+    return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
+
+
+class Writer:
+    """Write one recording; a context manager.
+
+    What has been written can be read after `close`, and all but the last second of it also when
+    the process is killed before.
+
+    Parameters
+    ----------
+    path : path
+        The file to make, usually `*.mcap`.
+    overwrite : bool
+        Replace a file that exists.
+
+    Raises
+    ------
+    RecordError
+        If the file exists and is not to be overwritten, or cannot be made.
+    """
+
+    def __init__(self, path: str | Path, overwrite: bool = False) -> None:
+        self.path = Path(path)
+        try:
+            self._stream = self.path.open('wb' if overwrite else 'xb')
+        except FileExistsError:
+            raise RecordError(f'{path} exists; choose another name or overwrite it') from None
+        except OSError as error:
+            raise RecordError(f'{path} cannot be written: {error.strerror}') from error
+        self._mcap = McapWriter(self._stream, 'ros2', f'starcal_ros {_version()}')
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, tuple[int, str]] = {}
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def write(self, topic: str, type_name: str, cdr: bytes | memoryview, log_time_ns: int,
+              publish_time_ns: int | None = None, qos: Qos = Qos()) -> None:
+        """Write one message in CDR; `qos` counts with the first message of a topic.
+
+        Raises
+        ------
+        RecordError
+            If the type is not known or not that of the topic.
+        """
+        self._mcap.add_message(self._channel(topic, type_name, (qos,)), log_time_ns,
+                               log_time_ns if publish_time_ns is None else publish_time_ns, cdr)
+
+    def write_imu(self, topic: str, samples: GyroSamples, frame_id: str = 'gyro',
+                  angular_velocity_variance: float = 0.0) -> None:
+        """Write gyro samples, recorded at their stamps."""
+        self.write_batches(imu_batch(topic, samples, frame_id, angular_velocity_variance))
+
+    def write_centroids(self, topic: str, frames: Frames) -> None:
+        """Write star frames, recorded at their stamps."""
+        self.write_batches(centroids_batch(topic, frames))
+
+    def write_batches(self, *batches: Batch) -> None:
+        """Write the messages of some topics together, in the order of their log times.
+
+        Raises
+        ------
+        RecordError
+            If a type is not known or not that of its topic.
+        """
+        channels = [self._channel(batch.topic, batch.type_name, batch.qos) for batch in batches]
+        lengths = [len(batch.log_time_ns) for batch in batches]
+        log_time = np.concatenate([np.empty(0, np.int64)] + [b.log_time_ns for b in batches])
+        source = np.repeat(np.arange(len(batches)), lengths)
+        row = np.arange(len(log_time)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+        order = np.argsort(log_time, kind='stable')
+        log_time, source, row = log_time[order], source[order], row[order]
+        breaks = ((np.diff(source) != 0) | (np.diff(row) != 1)
+                  | (np.diff(log_time // CHUNK_NS) != 0))
+        edges = np.concatenate(([0], np.flatnonzero(breaks) + 1, [len(row)])).tolist()
+        for low, high in zip(edges[:-1], edges[1:] if len(row) else []):
+            batch, channel = batches[source[low]], channels[source[low]]
+            messages = batch.messages[row[low]:row[low] + high - low]
+            if isinstance(messages, np.ndarray):
+                self._mcap.add_rows(channel, log_time[low:high], messages)
+            else:
+                for time_ns, message in zip(log_time[low:high].tolist(), messages):
+                    self._mcap.add_message(channel, time_ns, time_ns, message)
+
+    def attach(self, name: str, data: bytes, media_type: str) -> None:
+        """Attach a file, such as the configuration."""
+        self._mcap.add_attachment(name, media_type, data, time.time_ns())
+
+    def flush(self) -> None:
+        """Put all messages so far into the file, in a chunk of their own."""
+        self._mcap.finish_chunk()
+
+    def close(self) -> None:
+        """Write what is pending and the summary; more calls do nothing."""
+        if not self._stream.closed:
+            with self._stream:
+                self._mcap.finish()
+
+    def _channel(self, topic: str, type_name: str, qos: tuple[Qos, ...]) -> int:
+        """Return the id of a topic, declared at its first message."""
+        if topic not in self._channels:
+            if type_name not in self._schemas:
+                self._schemas[type_name] = self._mcap.add_schema(
+                    type_name, 'ros2msg', _definition(type_name).encode())
+            self._channels[topic] = self._mcap.add_channel(
+                topic, 'cdr', self._schemas[type_name],
+                {'offered_qos_profiles': '\n'.join(offer.profile for offer in qos),
+                 'topic_type_hash': typestore().hash_rihs01(type_name)}), type_name
+        channel, declared = self._channels[topic]
+        if declared != type_name:
+            raise RecordError(f'{topic} is of type {declared}, not {type_name}')
+        return channel
+
+
+def _definition(type_name: str) -> str:
+    if type_name not in typestore().types:
+        raise RecordError(f"'{type_name}' is not a message of ROS 2's standard packages")
+    return typestore().generate_msgdef(type_name, ros_version=2)[0]
+
+
+def _version() -> str:
+    try:
+        return version('starcal_ros')
+    except PackageNotFoundError:
+        return '(not installed)'

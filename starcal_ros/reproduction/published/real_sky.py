@@ -1,0 +1,85 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every method that needs no attitude, on star images that others took."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros import calibration
+from starcal_ros.config.models import detector
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.reproduction import real_images
+from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
+from starcal_ros.reproduction.real_images import ImageSet
+from starcal_ros.workflows.still_images import calibration as plates
+from starcal_ros.workflows.still_images.calibration import PlateCamera, Refit
+
+RUNS = 1
+COLUMNS = ('set', 'method', 'f (px)', 'sigma f', 'fitted (px)', 'held out (px)', 'reference f',
+           'reference fitted', 'reference held out')
+NOTES = (
+    'RMS residual of an axis, of the stars inside the gate, the attitude of each image fitted and '
+    'the camera held; every fourth image is held out. The reference is a bundle fit by others, '
+    'its last column with each image held out in turn.',
+    'angular_distance, fully weighted, uses what the bundle uses, one image after the other; '
+    'singular_value leaves out part of what an image knows. interstar (TCOC) weights all pairs of '
+    'stars alike: its sigmas are larger by an eighth.')
+_BINS = 8
+
+
+def reproduce(scenario: Scenario, runs: int, work: Path,
+              on_progress: Callable[[float], None]) -> Outcome:
+    """Calibrate each camera by each method; the scenario and the number of runs do not matter."""
+    methods = [name for name in calibration.names() if name != 'predicted_centroid']
+    rows: list[tuple[str | float, ...]] = []
+    panels = []
+    for k, images in enumerate(real_images.SETS):
+        curves = []
+        for j, method in enumerate(methods):
+            found = calibrate(images, method)
+            if found is not None:
+                rows.append(_row(images, method, found))
+                curves.append(_over_radius(found, method))
+            on_progress((k + (j + 1) / len(methods)) / len(real_images.SETS))
+        panels.append(Panel(images.name, 'distance from the middle [px]',
+                            'RMS residual of an axis [px]', tuple(curves)))
+    return Outcome('Real sky', COLUMNS, tuple(rows), NOTES, tuple(panels))
+
+
+def calibrate(images: ImageSet, method: str) -> PlateCamera | None:
+    """Return the camera of a set by a method that begins at what the stars themselves say."""
+    table = real_images.stars(images)
+    f_px = plates.focal_length_px(table, images.width, images.height)
+    scenario = plates.scenario_of(images.width, images.height, f_px, method)
+    return plates.calibrate(table, scenario)
+
+
+def _row(images: ImageSet, method: str, found: PlateCamera) -> tuple[str | float, ...]:
+    result = found.as_dict()
+    return (images.name, method, f'{result["f_px"]:.2f}', result['sigma']['f_px'],
+            result['fit_rms_px'], result['heldout_rms_px'], f'{images.reference_f_px:.2f}',
+            images.reference_rms_px, images.reference_heldout_px)
+
+
+def _over_radius(found: PlateCamera, label: str) -> Curve:
+    """Return the residuals of all images over the distance from the middle of the field."""
+    parts = [part for part in (found.fit, found.heldout) if part is not None]
+    pixels = detector(found.scenario.camera)
+    radius = np.concatenate([np.linalg.norm(_used(part, part.spots.uv), axis=-1)
+                             for part in parts])
+    square = np.concatenate([np.mean(_used(part, part.adjusted.residual)**2, axis=-1)
+                             for part in parts])
+    edges = np.linspace(0.0, 0.5 * np.hypot(pixels.width, pixels.height), _BINS + 1)
+    count, total = (np.histogram(radius, edges, weights=weight)[0] for weight in (None, square))
+    seen = count > 0
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    return Curve(middle[seen], np.sqrt(total[seen] / count[seen]), label, 'marked')
+
+
+def _used(part: Refit, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return values[part.adjusted.used]

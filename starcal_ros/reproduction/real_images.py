@@ -1,0 +1,66 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The star images of others that the studies ``real-sky`` and ``half-real`` need.
+
+They are no part of this package: a folder with a sub-folder for each set, in it ``stars.csv``
+(see `still_images.calibration.read_centroids`) and the images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import os
+from pathlib import Path
+
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.workflows.still_images.calibration import Plates, read_centroids
+
+VARIABLE = 'STARCAL_REAL_SKY'
+"""Environment variable that says where the folder is."""
+EPOCH = '2018-01-01T00:00:00'
+"""About when the images were taken; a few years move no star by a hundredth of a pixel."""
+
+
+@dataclass(frozen=True)
+class ImageSet:
+    """One camera.
+
+    Attributes
+    ----------
+    name : str
+        Sub-folder.
+    width, height : int
+        Of its images [px].
+    reference_f_px, reference_rms_px, reference_heldout_px : float
+        What the README beside the images has of a bundle fit by others.
+    """
+
+    name: str
+    width: int
+    height: int
+    reference_f_px: float
+    reference_rms_px: float
+    reference_heldout_px: float
+
+
+SETS = (ImageSet('tomc16', 808, 608, 3230.22, 0.096, 0.097),
+        ImageSet('granasat', 1280, 960, 2657.86, 0.132, 0.134))
+
+
+def folder() -> Path:
+    """Return where the images are, or would be."""
+    return Path(os.environ.get(VARIABLE, '../shared/data/real_sky'))
+
+
+def stars(images: ImageSet) -> Plates:
+    """Return the identified stars of a set.
+
+    Raises
+    ------
+    ConfigError
+        Where they are not there.
+    """
+    path = folder() / images.name / 'stars.csv'
+    if not path.is_file():
+        raise ConfigError(f'{path} is not there; {VARIABLE} says where the star images are')
+    return read_centroids(path, EPOCH)

@@ -1,0 +1,85 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration in the files of other programs.
+
+* ``camera_info.yaml``: what `camera_info_manager` and the image pipelines load;
+* ``camchain.yaml``: camera and mounting as Kalibr writes them, ``T_cam_imu`` from gyro to optical
+  axes. The stars do not tell the lever arm: it is zero;
+* ``imu.yaml``: the gyro as Kalibr reads it, with the bias in addition. There is no accelerometer,
+  so its four entries are for the user to add.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+import yaml
+
+from starcal_ros.config.models import detector
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR
+from starcal_ros.messages import conventions as ros_conventions
+
+Array = NDArray[np.float64]
+
+_CAMERA, _IMAGES, _IMU = 'star_tracker', '/star_tracker/image_raw', '/imu/data_raw'
+
+
+def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
+    """Return the files by name.
+
+    Parameters
+    ----------
+    result : dict
+        A RESULT.json, see `result.result`.
+    scenario : Scenario
+        That it was made with: its detector, and the noise of its gyro.
+    """
+    intrinsics = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS])
+    camera = ros_conventions.camera_info(intrinsics, detector(scenario.camera))
+    return {'camera_info.yaml': _dump(_camera_info(camera, scenario)),
+            'camchain.yaml': _dump({'cam0': _camchain(camera, result, scenario)}),
+            'imu.yaml': '# Add accelerometer_noise_density and accelerometer_random_walk.\n'
+                        + _dump(_imu(result, scenario))}
+
+
+def _camera_info(camera: ros_conventions.PlumbBob, scenario: Scenario) -> dict[str, Any]:
+    def matrix(rows: int, data: list[float]) -> dict[str, Any]:
+        return {'rows': rows, 'cols': len(data) // rows, 'data': data}
+    return {'image_width': scenario.camera.width, 'image_height': scenario.camera.height,
+            'camera_name': _CAMERA, 'camera_matrix': matrix(3, camera.K),
+            'distortion_model': 'plumb_bob', 'distortion_coefficients': matrix(1, camera.D),
+            'rectification_matrix': matrix(3, np.eye(3).ravel().tolist()),
+            'projection_matrix': matrix(3, camera.P)}
+
+
+def _camchain(camera: ros_conventions.PlumbBob, result: dict[str, Any], scenario: Scenario
+              ) -> dict[str, Any]:
+    q = np.array(result['mounting']['quaternion_xyzw'])
+    T_og = np.eye(4)
+    T_og[:3, :3] = ros_conventions.optical_in_gyro(rotation.to_matrix(q)).T
+    fx, _, cx, _, fy, cy = camera.K[:6]
+    augmented = result.get('augmented', {'names': [], 'estimates': []})
+    offset = dict(zip(augmented['names'], augmented['estimates'])).get('tau_s', 0.0)
+    return {'T_cam_imu': T_og.tolist(), 'camera_model': 'pinhole', 'distortion_model': 'radtan',
+            'distortion_coeffs': camera.D[:4], 'intrinsics': [fx, fy, cx, cy],
+            'resolution': [scenario.camera.width, scenario.camera.height], 'rostopic': _IMAGES,
+            # Kalibr's t_imu = t_cam + timeshift: a frame stamped t shows the sky of t + tau
+            'timeshift_cam_imu': offset}
+
+
+def _imu(result: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+    walk = scenario.estimator.process_noise.gyro_bias_deg_h_sqrt_h
+    return {'rostopic': _IMU, 'update_rate': scenario.gyro.rate_hz,
+            'gyroscope_noise_density': scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR,
+            'gyroscope_random_walk': walk * DEG_PER_HOUR / 60.0,
+            'gyroscope_bias': (np.array(result['gyro_bias_deg_h']) * DEG_PER_HOUR).tolist()}
+
+
+def _dump(tree: dict[str, Any]) -> str:
+    text: str = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+    return text

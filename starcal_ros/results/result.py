@@ -1,0 +1,136 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The outcome of a calibration: RESULT.json, and the camera's part of it alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import starcal_ros
+from starcal_ros.calibration.camera_estimate import CameraEstimate
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import rotation
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.filter import augmentation
+from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, PSI, UNIT, Belief
+from starcal_ros.recording.reader import Recording
+
+
+class CalibrationError(ValueError):
+    """The messages give no calibration; the text says why."""
+
+
+def converged(stream: Stream, belief: Belief) -> bool:
+    """Tell whether each calibrated sigma is inside its tolerance and the attitude is held."""
+    return bool((belief.sigma[CALIBRATED] <= stream.filter.tolerance).all()) and stream.tracking
+
+
+def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
+    """Return RESULT.json as a dictionary.
+
+    Parameters
+    ----------
+    stream : Stream
+        After its last frame.
+    provenance : dict
+        Version, configuration hash, bag hash.
+
+    Returns
+    -------
+    dict
+        ``covariance`` is that of the 16 states of `error_state` in its units: rad, rad/s, rad, px,
+        px, mm, mm^-2, mm^-4, mm^-1, mm^-1. ``attitude_final`` is the integrated attitude at the
+        last gyro sample. ``augmented`` is there where states of `augmentation` are on: their
+        names, each with its unit, estimates and sigmas.
+
+    Raises
+    ------
+    CalibrationError
+        Where no frame has given an attitude.
+    """
+    belief = stream.belief
+    if belief is None:
+        raise CalibrationError(no_attitude(stream))
+    estimate, sigma = belief.estimate, belief.sigma / UNIT
+    stamp_ns, C_gi = stream.attitude_now()
+    counts = stream.counts
+    values = {
+        'intrinsics': _named(estimate.intrinsics),
+        'intrinsics_sigma': _named(sigma[LENS]),
+        'gyro_bias_deg_h': (estimate.bias / UNIT[EPSILON]).tolist(),
+        'gyro_bias_sigma_deg_h': sigma[EPSILON].tolist(),
+        'mounting': {
+            'quaternion_xyzw': rotation.to_quaternion(estimate.C_sg).tolist(),
+            'fixed_angles_deg': np.degrees(rotation.to_fixed_angles(estimate.C_sg)).tolist(),
+            'sigma_arcsec': sigma[PSI].tolist(),
+        },
+        'covariance': belief.covariance.tolist(),
+        'reprojection_rms_px': stream.reprojection_rms_px.tolist(),
+        'attitude_final': {
+            'stamp_ns': stamp_ns,
+            'quaternion_xyzw': rotation.to_quaternion(C_gi.T).tolist(),
+        },
+        'converged': converged(stream, belief),
+        'counts': dataclasses.asdict(counts),
+        'provenance': provenance,
+    }
+    m = estimate.augmented.shape[-1]
+    if m:
+        units = augmentation.units(m)
+        values['augmented'] = {'names': list(augmentation.names(m)),
+                               'estimates': (estimate.augmented / units).tolist(),
+                               'sigmas': (belief.augmented_sigma / units).tolist()}
+    return values
+
+
+def camera(estimate: CameraEstimate) -> dict[str, Any]:
+    """Return what is known of a camera: the names of RESULT.json, the covariance that of seven."""
+    return {
+        'intrinsics': _named(estimate.intrinsics),
+        'intrinsics_sigma': _named(estimate.sigma),
+        'covariance': estimate.covariance.tolist(),
+        'counts': {'frames': estimate.frames, 'stars': estimate.stars},
+    }
+
+
+def provenance(scenario: Scenario, recording: Recording) -> dict[str, str]:
+    """Return where a result comes from: version, configuration hash, bag hash."""
+    return {'version': starcal_ros.__version__, 'config_sha256': scenario.sha256,
+            'bag': str(recording.path), 'bag_sha256': recording.sha256}
+
+
+def no_attitude(stream: Stream) -> str:
+    """Say why there is nothing to report."""
+    counts = stream.counts
+    return (f'no attitude from any frame: {counts.gyro} gyro readings, {counts.frames} frames '
+            f'reached by them ({counts.empty_frames} without a usable star, '
+            f'{counts.unusable_stars} stars unusable), {stream.waiting} frames waiting for gyro')
+
+
+def dumps(values: dict[str, Any]) -> str:
+    """Return a dictionary as JSON; NaN and infinity are refused."""
+    return json.dumps(values, indent=1, allow_nan=False) + '\n'
+
+
+def write_json(path: str | Path, values: dict[str, Any]) -> None:
+    """Write a dictionary as JSON; NaN and infinity are refused.
+
+    Raises
+    ------
+    CalibrationError
+        Where the file cannot be written.
+    """
+    try:
+        Path(path).write_text(dumps(values), encoding='utf-8')
+    except OSError as error:
+        raise CalibrationError(f'{path}: cannot be written: {error.strerror}') from None
+
+
+def _named(values: np.typing.NDArray[np.float64]) -> dict[str, float]:
+    return dict(zip(INTRINSICS_KEYS, values.tolist()))

@@ -1,0 +1,120 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated recording, written straight to a file: what the nodes publish, without them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import detector, intrinsics
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import rotation
+from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
+from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME, camera_info
+from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
+from starcal_ros.recording.writer import (LATCHED, Batch, Writer, centroids_batch, imu_batch,
+                                          serialize, typestore)
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.render import ImageSimulator
+from starcal_ros.simulation.truth import VECTOR_LABEL, Truth
+
+_BATCH_S = 60.0             # simulated seconds written at once
+_IMAGES_BATCH_S = 2.0       # the same, where a frame takes megabytes
+
+
+def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
+             on_progress: Callable[[float], None] | None = None) -> None:
+    """Write the recording of a scenario: sensors, nominal camera, truth, configuration.
+
+    With ``simulation.images`` the star tracker delivers images, its centroids being truth, as the
+    node does.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With its truth.
+    path : path
+        The .mcap file to make.
+    overwrite : bool
+        Replace a file that exists.
+    on_progress : callable, optional
+        Called with the part done, 0 to 1.
+
+    Raises
+    ------
+    RecordError
+        Where the file exists or can not be made.
+    ValueError
+        Where the catalogue does not reach down to a limiting magnitude.
+    """
+    truth = Truth.from_scenario(scenario)
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    variance = gyro.rate_variance
+    renderer = sensors.images(scenario) if scenario.simulation.images else None
+    centroids = '/truth/centroids' if renderer else '/star_tracker/centroids'
+    batch_s = _IMAGES_BATCH_S if renderer else _BATCH_S
+    with Writer(path, overwrite) as writer:
+        writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
+                      'application/yaml')
+        writer.attach(TRUTH_ATTACHMENT, json.dumps(truth.as_dict(), indent=1).encode(),
+                      'application/json')
+        writer.write_batches(*_latched(scenario, truth))
+        batches = max(1, int(np.ceil(scenario.simulation.duration_s / batch_s)))
+        for done in range(1, batches + 1):
+            samples = gyro.next(gyro.count * done // batches - gyro.next_index)
+            frames = tracker.next(tracker.count * done // batches - tracker.next_index)
+            writer.write_batches(imu_batch('/imu/data_raw', samples, GYRO_FRAME, variance),
+                                 *([_images(frames.stamp_ns, renderer)] if renderer else []),
+                                 centroids_batch(centroids, frames),
+                                 _attitude(frames.stamp_ns, truth))
+            if on_progress:
+                on_progress(done / batches)
+
+
+def _latched(scenario: Scenario, truth: Truth) -> list[Batch]:
+    types = typestore().types
+    start, detector_ = truth.motion.start_ns, truth.detector
+    info = camera_info(intrinsics(scenario.camera), detector(scenario.camera))
+    camera = types['sensor_msgs/msg/CameraInfo'](
+        header=_header(start, OPTICAL_FRAME), height=detector_.height, width=detector_.width,
+        distortion_model='plumb_bob', d=np.array(info.D), k=np.array(info.K),
+        r=np.eye(3).ravel(), p=np.array(info.P), binning_x=0, binning_y=0,
+        roi=types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False))
+    values = truth.vector()
+    dimension = types['std_msgs/msg/MultiArrayDimension'](
+        VECTOR_LABEL, len(values), len(values))
+    parameters = types['std_msgs/msg/Float64MultiArray'](
+        types['std_msgs/msg/MultiArrayLayout']([dimension], 0), values)
+    return [Batch(topic, type_name, np.array([start]), [serialize(type_name, message)],
+                  (LATCHED,))
+            for topic, type_name, message in (
+                ('/star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', camera),
+                ('/truth/parameters', 'std_msgs/msg/Float64MultiArray', parameters))]
+
+
+def _images(stamps_ns: NDArray[np.int64], renderer: ImageSimulator) -> Batch:
+    return Batch('/star_tracker/image_raw', IMAGE_TYPE, stamps_ns, [
+        encode_image(stamp_ns, renderer.image(stamp_ns)) for stamp_ns in stamps_ns.tolist()])
+
+
+def _attitude(stamps_ns: NDArray[np.int64], truth: Truth) -> Batch:
+    type_name, types = 'geometry_msgs/msg/QuaternionStamped', typestore().types
+    quaternions = rotation.to_quaternion(truth.motion.attitude(stamps_ns)).tolist()
+    messages = [
+        serialize(type_name, types[type_name](_header(stamp_ns, INERTIAL_FRAME),
+                                              types['geometry_msgs/msg/Quaternion'](*q)))
+        for stamp_ns, q in zip(stamps_ns.tolist(), quaternions)]
+    return Batch('/truth/attitude', type_name, stamps_ns, messages)
+
+
+def _header(stamp_ns: int, frame_id: str) -> Any:
+    types = typestore().types
+    stamp = types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 10**9))
+    return types['std_msgs/msg/Header'](stamp, frame_id)

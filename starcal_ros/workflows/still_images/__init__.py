@@ -1,0 +1,3 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A camera from still images of the sky: no gyro, and a clock only where there is air."""

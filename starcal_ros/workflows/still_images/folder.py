@@ -1,0 +1,280 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Still images of the sky from their files: read, measured, identified, ready to calibrate.
+
+An image is identified lost in space, with a camera of which the field is known at best. What can
+not be used is left out and named. Stars that are saturated, blended, cut by the edge or of another
+shape than the rest help to identify an image but not to calibrate: their places are biased.
+
+Where all images show the sky in the mirror only, rows counted from the wrong end are the likely
+reason: they are flipped, top to bottom, and so is the camera that is calibrated then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import csv
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.config.image import CentroidConfig
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core.camera import Detector
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.identification.camera_guess import CameraGuess
+from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
+                                                   MirroredError)
+from starcal_ros.imaging.centroids import Centroids, extract
+from starcal_ros.imaging.files import ImageFileError, image_files, load
+from starcal_ros.sky.apparent import Observer
+from starcal_ros.sky.refraction import Site
+
+Array = NDArray[np.float64]
+
+FIELD_DEG = (8.0, 40.0)
+"""Fields of view across the width in which a camera of unknown field is looked for."""
+FIELD_ERROR = 0.1
+"""Part of itself by which a stated field of view may be wrong."""
+
+_WIDEST_DEG = 100.0
+_LEAST_SIGMA_PX = 0.01  # what no fit of a spot knows of: uneven pixels, proper motion to the epoch
+_NAMED = 5              # files that a message names, at most
+
+
+class NoStarsError(ValueError):
+    """No image can be used."""
+
+
+@dataclass(frozen=True)
+class StarImage:
+    """One image and its stars.
+
+    Attributes
+    ----------
+    name : str
+        File.
+    uv_raster : (n, 2) array
+        Clean centroids of identified stars [px].
+    sigma : (n,) array
+        Of them, each axis; right but for a factor [px].
+    catalog_id : (n,) int64 array
+        Hipparcos numbers.
+    spots : int
+        All spots that were found.
+    stamp_ns : int or None
+        When it was taken, UTC since the Unix epoch; None where the file does not say.
+    has_zone : bool
+        Whether the file says that the time is UTC, or by how much it is not.
+    focal_length_px : float
+        That fits it.
+    mirrored : bool
+        Flipped to be identified.
+    """
+
+    name: str
+    uv_raster: Array
+    sigma: Array
+    catalog_id: NDArray[np.int64]
+    spots: int
+    stamp_ns: int | None
+    has_zone: bool
+    focal_length_px: float
+    mirrored: bool
+
+
+@dataclass(frozen=True)
+class StarImages:
+    """What a folder of images gave.
+
+    Attributes
+    ----------
+    width, height : int
+        Of all of them [px].
+    images : tuple of StarImage
+        Those that are identified, all flipped or none, in the order of their names.
+    left_out : dict
+        The others, by name, with the reason.
+    """
+
+    width: int
+    height: int
+    images: tuple[StarImage, ...]
+    left_out: dict[str, str]
+
+    @property
+    def flipped(self) -> bool:
+        """Whether the images were flipped, top to bottom."""
+        return any(image.mirrored for image in self.images)
+
+    @property
+    def focal_length_px(self) -> float:
+        """Median focal length [px]."""
+        return float(np.median([image.focal_length_px for image in self.images]))
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """An image of which only the spots are kept."""
+
+    shape: tuple[int, int]
+    centroids: Centroids
+    taken: datetime | None
+
+
+def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | None,
+         config: CentroidConfig = CentroidConfig(), observer: Observer = Observer('barycentre'),
+         site: Site | None = None,
+         on_progress: Callable[[float], None] = lambda part: None) -> StarImages:
+    """Find the stars in the images of a folder.
+
+    Parameters
+    ----------
+    folder : path
+        With images as `imaging.files` reads them.
+    fov_deg : float or None
+        Field of view across the width, to FIELD_ERROR; None for any of FIELD_DEG.
+    epoch_utc : str or None
+        Time of images that do not tell it themselves, ISO 8601.
+    config : CentroidConfig
+        How stars are measured; a saturation that it leaves open is that of the file's type.
+    observer : Observer
+        Who looks, for images whose time is known.
+    site : Site, optional
+        Where they were taken, for the same.
+    on_progress : callable
+        Called with the part done, 0 to 1.
+
+    Raises
+    ------
+    ImageFileError, ConfigError
+        Where there is no image, or images differ in size, or the field is impossible.
+    NoStarsError
+        Where no image can be used.
+    ImportError
+        Where tetra3rs is missing.
+    """
+    paths = image_files(folder)
+    measured: dict[str, _Measured] = {}
+    left_out: dict[str, str] = {}
+    for k, path in enumerate(paths):
+        try:
+            measured[path.name] = _measure(path, config)
+        except ImageFileError as error:
+            left_out[path.name] = str(error).removeprefix(f'{path}: ')
+        except ValueError as error:         # of the extraction
+            left_out[path.name] = str(error)
+        on_progress(0.5 * (k + 1) / len(paths))
+    if not measured:
+        raise NoStarsError(f'{folder}: none of its images can be read: {_reasons(left_out)}')
+    height, width = _size({name: image.shape for name, image in measured.items()}, folder)
+    images: list[StarImage] = []
+    guess = CameraGuess.of_field(Detector(width, height, 1.0), *_field(fov_deg))
+    identifier = Identifier(guess, observer, site=site)
+    for k, (name, spots) in enumerate(measured.items()):
+        found = _identify(identifier, name, spots, epoch_utc)
+        if isinstance(found, StarImage):
+            images.append(found)
+        else:
+            left_out[name] = found
+        on_progress(0.5 + 0.5 * (k + 1) / len(measured))
+    flipped = 2 * sum(image.mirrored for image in images) > len(images)
+    for image in images:
+        if image.mirrored != flipped:
+            how = 'in the mirror only' if image.mirrored else 'without a mirror'
+            left_out[image.name] = (f'its stars match {how}, unlike those of most images: flip '
+                                    'it, top to bottom')
+    if not images:
+        looked_for = 'field of {:g} to {:g} deg looked for'.format(*_field(fov_deg))
+        raise NoStarsError(f'{folder}: none of {len(paths)} images can be used ({looked_for}): '
+                           f'{_reasons(left_out)}')
+    return StarImages(width, height,
+                      tuple(image for image in images if image.mirrored == flipped),
+                      dict(sorted(left_out.items())))
+
+
+def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout: Sequence[bool]
+                ) -> None:
+    """Write the stars of images as `calibration.read_centroids` reads them."""
+    with Path(path).open('w', newline='', encoding='utf-8') as stream:
+        table = csv.writer(stream)
+        table.writerow(['image', 'u', 'v', 'catalog_id', 'sigma', 'split'])
+        for image, held in zip(images, heldout):
+            for (u, v), star, sigma in zip(image.uv_raster.tolist(), image.catalog_id.tolist(),
+                                           image.sigma.tolist()):
+                table.writerow([image.name, f'{u:.5f}', f'{v:.5f}', star, f'{sigma:.5f}',
+                                'heldout' if held else 'fit'])
+
+
+def _measure(path: Path, config: CentroidConfig) -> _Measured:
+    picture = load(path)
+    if config.saturation_counts is None:
+        config = CentroidConfig(**{**vars(config), 'saturation_counts': picture.saturation})
+    height, width = picture.counts.shape
+    return _Measured((height, width), extract(picture.counts, config), picture.taken)
+
+
+def _size(shapes: dict[str, tuple[int, int]], folder: str | PathLike[str]) -> tuple[int, int]:
+    """Return the height and width of all images."""
+    names: dict[tuple[int, int], list[str]] = {}
+    for name, shape in shapes.items():
+        names.setdefault(shape, []).append(name)
+    if len(names) > 1:
+        raise ConfigError(f'{folder}: images of different sizes: ' + '; '.join(
+            f'{width} x {height} px: {_listed(those)}'
+            for (height, width), those in names.items()) + '; one size is needed')
+    return next(iter(names))
+
+
+def _reasons(left_out: dict[str, str]) -> str:
+    return _listed([f'{name}: {why}' for name, why in sorted(left_out.items())], '; ')
+
+
+def _listed(texts: list[str], between: str = ', ') -> str:
+    more = len(texts) - _NAMED
+    return between.join(texts[:_NAMED]) + (f'{between}and {more} more' if more > 0 else '')
+
+
+def _field(fov_deg: float | None) -> tuple[float, float]:
+    """Return between which fields of view the camera is looked for [deg]."""
+    if fov_deg is not None and not 0.0 < fov_deg <= _WIDEST_DEG:
+        raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
+                          f'{_WIDEST_DEG:g}')
+    return FIELD_DEG if fov_deg is None else (
+        fov_deg * (1.0 - FIELD_ERROR), fov_deg * (1.0 + FIELD_ERROR))
+
+
+def _identify(identifier: Identifier, name: str, image: _Measured, epoch_utc: str | None
+              ) -> StarImage | str:
+    """Return an image's stars, or why there are none."""
+    centroids, taken = image.centroids, image.taken
+    stamp_ns = None if epoch_utc is None else unix_ns(epoch_utc)
+    if taken is not None:
+        zoned = taken if taken.tzinfo else taken.replace(tzinfo=timezone.utc)
+        stamp_ns = unix_ns(zoned.isoformat())
+    uv, mirrored = centroids.uv_raster, False
+
+    def search() -> Identification | None:
+        return identifier.lost_in_space(uv, centroids.flux, stamp_ns, centroids.sigma)
+
+    try:
+        found = search()
+    except MirroredError:
+        uv, mirrored = uv * [1.0, -1.0] + [0.0, image.shape[0] - 1.0], True
+        try:
+            found = search()
+        except MirroredError:
+            found = None
+    if found is None:
+        return f'not identified: {len(uv)} spots match no stars'
+    use = (found.catalog_id != 0) & (centroids.flags == 0)
+    if use.sum() < MIN_STARS:
+        return f'{use.sum()} clean stars (not saturated, blended or cut), needs {MIN_STARS}'
+    sigma = np.hypot(centroids.sigma[use], _LEAST_SIGMA_PX)
+    return StarImage(name, uv[use], sigma, found.catalog_id[use], len(uv), stamp_ns,
+                     taken is None or taken.tzinfo is not None, float(found.view.intrinsics[2]),
+                     mirrored)
