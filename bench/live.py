@@ -19,8 +19,8 @@ import sys
 import tempfile
 import time
 
-from starcal_ros.cli import processes as demo
-from starcal_ros.config import parameter_file, shipped as resources
+from starcal_ros.cli import processes
+from starcal_ros.config import parameter_file, shipped
 from starcal_ros.config.scenario import Scenario
 
 DURATION_S = 600.0
@@ -32,9 +32,9 @@ _TICK_S = 1.0 / os.sysconf('SC_CLK_TCK')
 
 def start(name: str, folder: Path, *names: str) -> subprocess.Popen[str]:
     """Start a node, or several in one process."""
-    command = demo.node_command(name, {}, folder / 'config.yaml')
+    command = processes.node_command(name, {}, folder / 'config.yaml')
     command[4:4] = names
-    return subprocess.Popen(command, env={**os.environ, **demo.isolated()}, text=True,
+    return subprocess.Popen(command, env={**os.environ, **processes.isolated()}, text=True,
                             stderr=subprocess.PIPE if 'gyro_sim' in (name, *names) else None)
 
 
@@ -78,7 +78,7 @@ def run(scenario: Scenario, together: bool) -> tuple[float, dict[str, float]]:
 
 def main() -> int:
     """Print the speeds and loads, and whether they are what is asked for."""
-    scenario = parameter_file.load(resources.config_file('tan2018.yaml'))
+    scenario = parameter_file.load(shipped.config_file('tan2018.yaml'))
     fast = scenario.replace({'simulation.duration_s': DURATION_S,
                              'simulation.real_time_factor': 0.0})
     speeds = []

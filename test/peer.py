@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
+from starcal_ros.messages import cdr, cdr_pointcloud
 
 PATIENCE_S = 60.0
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -48,7 +48,7 @@ class Peer:
         """Publish messages."""
         for message in cdr.encode_imu(gyro):
             self.gyro.publish(message.tobytes())
-        for message in cdr_cloud.encode_centroids(frames):
+        for message in cdr_pointcloud.encode_centroids(frames):
             self.frames.publish(message)
 
     def call(self, kind, name, request=None):

@@ -18,7 +18,8 @@ from starcal_ros.filter.error_state import (CALIBRATED, SCALE, SIGMA_ACQUIRED, T
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import apparent_places
 
 # Truth against nominal: 374 arcsec of mounting, 11 px, 0.1 mm, and the distortion of T18 Table 1.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
@@ -43,8 +44,8 @@ class Look:
     def stars_as(self, numbers):
         """Return the frame's centroids under these star numbers."""
         stars = catalog.load_containing(numbers)
-        u_i = sky.apparent_places(stars, stars.rows(numbers), self.frames.stamp_ns,
-                                  [len(numbers)], observer(SCENARIO.observer))
+        u_i = apparent_places(stars, stars.rows(numbers), self.frames.stamp_ns,
+                              [len(numbers)], observer(SCENARIO.observer))
         return Stars(u_i, self.frames.uv_raster - FILTER.detector.centre_raster,
                      self.frames.sigma.copy())
 

@@ -15,7 +15,8 @@ from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, rotation
 from starcal_ros.measurements.samples import Frames, Stars
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import apparent_places
 
 PITCH = 0.00645
 T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
@@ -142,8 +143,8 @@ def frames_of(count, rng, truth=T18, first=0):
     stamps = 1_782_993_600_000_000_000 + (first + np.arange(count)) * 500_000_000
     uv_raster, hips = [], []
     for stamp in stamps:
-        places = sky.apparent_places(stars, np.arange(len(stars)), [stamp], [len(stars)],
-                                     observer(Scenario().observer))
+        places = apparent_places(stars, np.arange(len(stars)), [stamp], [len(stars)],
+                                 observer(Scenario().observer))
         r_s = places @ rotation.exp(rng.normal(size=3)).T
         uv = camera.project(r_s, truth, PITCH)
         seen = np.flatnonzero((r_s[:, 2] > 0.9) & (np.abs(uv) < 500.0).all(axis=-1))[:12]

@@ -18,7 +18,7 @@ from starcal_ros.filter.error_state import (AUGMENTED, MATRIX, N_STATES, PHI, PS
 from starcal_ros.filter.verdict import judge
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import GyroSamples, Stars
-from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.messages import conventions
 from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
 
@@ -102,8 +102,8 @@ def test_covariance_of_the_16_is_the_marginal_one():
                                atol=1e-8)
     np.testing.assert_allclose(belief.sigma, np.sqrt(np.diag(whole)[:16]), rtol=1e-12)
     np.testing.assert_allclose(belief.augmented_sigma, np.sqrt(np.diag(whole)[16:]), rtol=1e-12)
-    state = ros_conventions.state_vector(0, belief)
-    assert len(state) == sum(size for _, size in ros_conventions.STATE_LAYOUT)
+    state = conventions.state_vector(0, belief)
+    assert len(state) == sum(size for _, size in conventions.STATE_LAYOUT)
 
 
 def test_error_of_the_matrix_leaves_the_filter_as_the_error_of_M():

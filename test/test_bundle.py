@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from starcal_ros import calibration
-from starcal_ros.calibration import bundle_adjustment as bundle
+from starcal_ros.calibration import bundle_adjustment
 from starcal_ros.calibration.bundle_adjustment import Spots, adjust
 from starcal_ros.calibration.bundle_start import attitudes
 from starcal_ros.calibration.methods import bundle as bundle_method
@@ -227,8 +227,8 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     rng = np.random.default_rng(9)
     spots, C_si, u, star = scene(rng, 12, 60)
     nameless, seen = without_places(spots, star)
-    problem = bundle._Problem(nameless, START, PITCH, WIDE)
-    state = bundle._State(START, C_si, u[seen])
+    problem = bundle_adjustment._Problem(nameless, START, PITCH, WIDE)
+    state = bundle_adjustment._State(START, C_si, u[seen])
     lost = nameless.point == 5
     normal = problem.normal(state, np.where(lost, 0.0, 1.0 / SIGMA), problem.residual(state))
     step = normal.solve()
@@ -236,7 +236,7 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     without = nameless._replace(point=np.where(nameless.point > 5, nameless.point - 1,
                                                nameless.point))
     without = Spots(*(part[~lost] for part in without))
-    other = bundle._Problem(without, START, PITCH, WIDE).normal(
+    other = bundle_adjustment._Problem(without, START, PITCH, WIDE).normal(
         state._replace(points=np.delete(state.points, 5, axis=0)),
         np.full((~lost).sum(), 1.0 / SIGMA))
     np.testing.assert_allclose(normal.camera_covariance(), other.camera_covariance(), rtol=1e-6)

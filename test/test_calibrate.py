@@ -17,12 +17,12 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
 from starcal_ros.filter.calibrator import Stream
 from starcal_ros.filter.error_state import CALIBRATED, PHI, STATE_NAMES
-from starcal_ros.recording import reader as record
+from starcal_ros.recording import reader
 from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.simulation.write_recording import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT, simulate
-from starcal_ros.sky import apparent as sky
+from starcal_ros.sky.apparent import tt_julian_date
 
 TOP = Path(__file__).resolve().parents[1]
 EXTERNAL = TOP.parent / 'shared' / 'data' / 'external_tan2018'
@@ -74,7 +74,7 @@ def recording(tmp_path_factory):
     """Return the recording of the short run as it is read back."""
     path = tmp_path_factory.mktemp('bag') / 'short.mcap'
     simulate(SHORT, path)
-    return record.read(path)
+    return reader.read(path)
 
 
 @pytest.fixture(scope='module')
@@ -240,7 +240,7 @@ def external():
     """Return the calibration of the external recording and its truth."""
     if not EXTERNAL.is_dir():
         pytest.skip(f'{EXTERNAL.name} is not beside this checkout')
-    recording = record.read(EXTERNAL)
+    recording = reader.read(EXTERNAL)
     scenario = parameter_file.load(EXTERNAL / 'config.yaml')
     stream, _ = calibrate(recording.gyro, recording.frames, scenario)
     truth = json.loads((EXTERNAL / 'truth.json').read_text())
@@ -307,7 +307,7 @@ def test_aberration_left_out_makes_the_focal_length_wrong_by_2_um(ahead):
 
 def velocity(when_ns):
     """Return the Earth's barycentric velocity, in i, in units of c."""
-    _, barycentric = erfa.epv00(*sky.tt_julian_date([when_ns]))
+    _, barycentric = erfa.epv00(*tt_julian_date([when_ns]))
     return barycentric['v'][0] * erfa.DAU / erfa.DAYSEC / erfa.CMPS
 
 

@@ -9,7 +9,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.messages import cdr_pointcloud as cdr_cloud
+from starcal_ros.messages import cdr_pointcloud
 from starcal_ros.messages.cdr import IMU_TYPE, Messages, RecordError, decode_imu, encode_imu
 from starcal_ros.messages.cdr_pointcloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
                                                  with_numbers)
@@ -184,13 +184,13 @@ def test_layouts_may_change_from_message_to_message():
 
 
 def test_padding_that_differs_in_every_message_makes_no_new_layout(monkeypatch):
-    parsed, parse = [], cdr_cloud._parse_layout
+    parsed, parse = [], cdr_pointcloud._parse_layout
 
     def spy(*args):
         parsed.append(args)
         return parse(*args)
 
-    monkeypatch.setattr(cdr_cloud, '_parse_layout', spy)
+    monkeypatch.setattr(cdr_pointcloud, '_parse_layout', spy)
     messages = []
     for k, message in enumerate(encode_centroids(FRAMES) * 50):
         dirty = bytearray(message)

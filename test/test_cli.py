@@ -16,9 +16,9 @@ import pytest
 import starcal_ros
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
-from starcal_ros.recording import reader as record
+from starcal_ros.recording import reader
 from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
-from starcal_ros.results import initial as restart
+from starcal_ros.results import initial
 from starcal_ros.results.store import Archive
 from starcal_ros.simulation import sensors
 
@@ -267,7 +267,7 @@ def test_seed_makes_the_noise_and_nothing_else_does(starcal, tmp_path):
     for k, seed in enumerate((7, 7, 8)):
         path = tmp_path / f'{k}.mcap'
         assert starcal('simulate', '--out', path, '--duration', '2', '--seed', seed).status == 0
-        runs.append(record.read(path))
+        runs.append(reader.read(path))
     first, again, other = runs
     np.testing.assert_array_equal(first.gyro.rate, again.gyro.rate)
     np.testing.assert_array_equal(first.frames.uv_raster, again.frames.uv_raster)
@@ -276,7 +276,7 @@ def test_seed_makes_the_noise_and_nothing_else_does(starcal, tmp_path):
 
 
 def test_simulated_recording_carries_the_scenario_that_was_run(bag):
-    attached = record.read(bag).attachments['config.yaml'].decode()
+    attached = reader.read(bag).attachments['config.yaml'].decode()
     carried = parameter_file.parse(attached, 'bag')
     assert carried == SCENARIO.replace({'simulation.duration_s': 20.0})
 
@@ -310,7 +310,7 @@ def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path
     assert sorted(path.name for path in (tmp_path / 'export').iterdir()) == [
         'camchain.yaml', 'camera_info.yaml', 'imu.yaml']
     outcome = json.loads((tmp_path / 'result.json').read_text())
-    folder = Archive(tmp_path / 'saved').save(restart.files(outcome, scenario))
+    folder = Archive(tmp_path / 'saved').save(initial.files(outcome, scenario))
     second = starcal(*words)
     assert second.status == 0 and f'calibration {folder}' in ' '.join(second.err.split())
     better = json.loads((tmp_path / 'result.json').read_text())

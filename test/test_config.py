@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from starcal_ros.config import (models as scenario, parameter_file, scenario as config,
-                                shipped as resources)
+from starcal_ros.config import models, parameter_file, shipped
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import (CameraConfig, MotionConfig, MountingConfig, Scenario,
+                                         parameters, stamp_ns)
+from starcal_ros.config.truth import TrueCameraConfig
 from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC
 
@@ -20,7 +22,7 @@ HEAD = '/**:\n  ros__parameters:\n'
 
 @pytest.fixture(scope='module')
 def tan2018():
-    return parameter_file.load(resources.config_file('tan2018.yaml'))
+    return parameter_file.load(shipped.config_file('tan2018.yaml'))
 
 
 def changed(tan2018):
@@ -53,15 +55,15 @@ def test_shipped_scenario_holds_table_2_of_T18(tan2018):
 
 def test_nominal_mounting_is_the_truth_turned_by_table_1s_fixed_angle_errors(tan2018):
     """T18 Eq. 8, estimate = (I + [Psi x]) truth, with [100, 200, 300] arcsec."""
-    C_nominal = scenario.mounting_matrix(tan2018.mounting)
-    C_true = scenario.mounting_matrix(tan2018.truth.mounting)
+    C_nominal = models.mounting_matrix(tan2018.mounting)
+    C_true = models.mounting_matrix(tan2018.truth.mounting)
     np.testing.assert_allclose(rotation.log(C_nominal @ C_true.T) / ARCSEC, [100.0, 200.0, 300.0],
                                atol=1e-3)
 
 
 def test_shipped_files_are_read_alike_by_ros(tan2018):
     """ROS 2 reads a bare y or n as a bool, PyYAML as a string: nowhere may one stand."""
-    for text in (resources.config_file('tan2018.yaml').read_text(), parameter_file.dump(tan2018)):
+    for text in (shipped.config_file('tan2018.yaml').read_text(), parameter_file.dump(tan2018)):
         bare = [event.value for event in yaml.parse(text)
                 if isinstance(event, yaml.ScalarEvent) and event.style is None]
         assert '1024' in bare
@@ -72,7 +74,7 @@ def test_shipped_files_are_read_alike_by_ros(tan2018):
 def test_ros_reads_a_parameter_file(tan2018, tmp_path, shipped):
     rclpy = pytest.importorskip('rclpy')
     path = tmp_path / 'scenario.yaml'
-    path.write_text(resources.config_file('tan2018.yaml').read_text() if shipped
+    path.write_text(shipped.config_file('tan2018.yaml').read_text() if shipped
                     else parameter_file.dump(changed(tan2018)))
     context = rclpy.Context()
     rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
@@ -83,7 +85,7 @@ def test_ros_reads_a_parameter_file(tan2018, tmp_path, shipped):
 def test_the_configuration_of_another_recording_is_read():
     external = parameter_file.load(EXTERNAL / 'config.yaml')
     assert external.mounting.quaternion_xyzw[3] == -0.9660380223439142
-    assert external.motion == config.MotionConfig()
+    assert external.motion == MotionConfig()
 
 
 # Reading and writing
@@ -97,7 +99,7 @@ def test_what_is_dumped_is_parsed_to_the_same_scenario(tan2018):
 
 def test_what_is_left_out_takes_its_default():
     assert parameter_file.parse(HEAD + '    camera: {width: 640}', 'x') == (
-        config.Scenario(camera=config.CameraConfig(width=640)))
+        Scenario(camera=CameraConfig(width=640)))
 
 
 @pytest.mark.parametrize('text, value', [
@@ -114,13 +116,13 @@ def test_one_value_changes_the_hash(tan2018):
 
 
 def test_every_parameter_is_explained():
-    for key, parameter in config.parameters().items():
+    for key, parameter in parameters().items():
         assert len(parameter.spec.text) > 3, key
         assert parameter.spec.text[0].isupper(), key
 
 
 def test_every_number_has_a_range_that_its_default_lies_in():
-    for key, parameter in config.parameters().items():
+    for key, parameter in parameters().items():
         if parameter.element in (int, float):
             assert np.isfinite([parameter.spec.low, parameter.spec.high]).all(), key
         parameter.check(key, parameter.default)
@@ -229,7 +231,7 @@ def test_a_binary_file_is_named(tmp_path, content):
 
 def test_a_shipped_file_that_is_not_there_is_named():
     with pytest.raises(FileNotFoundError, match='^none.yaml is not beside '):
-        resources.config_file('none.yaml')
+        shipped.config_file('none.yaml')
 
 
 # Time and mounting
@@ -240,13 +242,13 @@ def test_a_shipped_file_that_is_not_there_is_named():
     ('1970-01-01T00:00:00Z', 0.0), ('1970-01-01T00:00:00.25Z', 0.25),
     ('1970-01-01T01:00:00.1234567+01:00', 0.123456)])
 def test_a_stamp_is_unix_time_in_utc(text, seconds):
-    assert config.stamp_ns('key', text) == round(seconds * 1e9)
+    assert stamp_ns('key', text) == round(seconds * 1e9)
 
 
 def test_a_mounting_is_the_same_by_quaternion_and_by_fixed_angles():
-    angles = scenario.mounting_matrix(config.MountingConfig(fixed_angles_deg=(0.0, 90.0, 0.0)))
-    quaternion = scenario.mounting_matrix(
-        config.MountingConfig(quaternion_xyzw=(0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))))
+    angles = models.mounting_matrix(MountingConfig(fixed_angles_deg=(0.0, 90.0, 0.0)))
+    quaternion = models.mounting_matrix(
+        MountingConfig(quaternion_xyzw=(0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))))
     np.testing.assert_allclose(angles, quaternion, atol=1e-15)
     np.testing.assert_allclose(angles @ [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], atol=1e-15)
 
@@ -255,16 +257,16 @@ def test_the_norm_of_a_quaternion_does_not_turn_the_mounting(tan2018):
     """A norm that the check lets pass, 1 + 9e-7, is taken off; it is not part of the angle."""
     q = np.array(tan2018.mounting.quaternion_xyzw)
     q /= np.linalg.norm(q)
-    unit, long = (scenario.mounting_matrix(config.MountingConfig(
+    unit, long = (models.mounting_matrix(MountingConfig(
         quaternion_xyzw=tuple((scale * q).tolist()))) for scale in (1.0, 1.0 + 9e-7))
     np.testing.assert_allclose(long, unit, atol=1e-14)
 
 
 def test_what_the_truth_leaves_out_is_nominal():
-    nominal = config.CameraConfig(principal_point_px=(1.0, 2.0), focal_length_mm=30.0,
-                                  distortion=(1e-4, 0.0, 0.0, 1e-5))
-    instead = config.TrueCameraConfig(focal_length_mm=31.0)
-    np.testing.assert_array_equal(scenario.intrinsics(nominal, instead),
+    nominal = CameraConfig(principal_point_px=(1.0, 2.0), focal_length_mm=30.0,
+                           distortion=(1e-4, 0.0, 0.0, 1e-5))
+    instead = TrueCameraConfig(focal_length_mm=31.0)
+    np.testing.assert_array_equal(models.intrinsics(nominal, instead),
                                   [1.0, 2.0, 31.0, 1e-4, 0.0, 0.0, 1e-5])
-    np.testing.assert_array_equal(scenario.intrinsics(nominal),
+    np.testing.assert_array_equal(models.intrinsics(nominal),
                                   [1.0, 2.0, 30.0, 1e-4, 0.0, 0.0, 1e-5])

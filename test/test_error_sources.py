@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from starcal_ros.config import (models as scenario, parameter_file, scenario as config,
-                                shipped as resources)
+from starcal_ros.config import models, parameter_file, shipped
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.scenario import ObserverConfig
 from starcal_ros.config.truth import TrueObserverConfig
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
@@ -20,9 +20,10 @@ from starcal_ros.simulation.errors import hot_pixels, smear
 from starcal_ros.simulation.process import Process
 from starcal_ros.simulation.randomness import stream
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import Observer, apparent_places
 
-TAN2018 = parameter_file.load(resources.config_file('tan2018.yaml'))
+TAN2018 = parameter_file.load(shipped.config_file('tan2018.yaml'))
 QUIET = TAN2018.replace({'truth.gyro.arw_deg_sqrt_h': 0.0,
                          'truth.star_tracker.centroid_sigma_px': 0.0})
 GYRO_ERRORS = {
@@ -69,9 +70,9 @@ def images(setting, frames, early_ns=0, places_early_ns=None):
     """Return where the stars of the frames are, in raster pixels, some time before the stamps."""
     truth, stars = Truth.from_scenario(setting), catalog.load(8.0)
     places_early_ns = early_ns if places_early_ns is None else places_early_ns
-    u_i = sky.apparent_places(
+    u_i = apparent_places(
         stars, stars.rows(frames.catalog_id), frames.stamp_ns - places_early_ns,
-        frames.star_counts, scenario.observer(setting.observer, setting.truth.observer))
+        frames.star_counts, models.observer(setting.observer, setting.truth.observer))
     C_si = truth.attitude_si(frames.stamp_ns - early_ns)[frame_index(frames)]
     return camera.project((C_si @ u_i[..., None])[..., 0], truth.intrinsics,
                           truth.detector.pitch_mm) + truth.detector.centre_raster
@@ -105,8 +106,8 @@ def test_with_every_error_off_a_centroid_is_that_of_the_plain_model():
     frames, truth = sensors.star_tracker(TAN2018).next(300), Truth.from_scenario(TAN2018)
     rng = np.random.default_rng(np.random.SeedSequence(1, spawn_key=(0,)))
     stars = catalog.load(TAN2018.star_tracker.limiting_magnitude)
-    u_i = sky.apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
-                              frames.star_counts, scenario.observer(TAN2018.observer))
+    u_i = apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
+                          frames.star_counts, models.observer(TAN2018.observer))
     C_gi = np.swapaxes(truth.motion.attitude(frames.stamp_ns), -1, -2)
     r_s = ((truth.C_sg @ C_gi)[frame_index(frames)] @ u_i[..., None])[..., 0]
     uv = camera.project(r_s, truth.intrinsics, truth.detector.pitch_mm)
@@ -269,17 +270,17 @@ def test_an_orbit_that_nobody_believes_in_aberrates_the_stars_by_5_arcsec():
                                        truth.detector.pitch_mm)
                       for uv in (frames.uv_raster, images(setting, frames)))
     shift = np.linalg.norm(np.cross(seen, believed), axis=1)
-    v_over_c = sky.Observer('orbit', 500.0).mean_motion * 6878136.6 / 299792458.0
+    v_over_c = Observer('orbit', 500.0).mean_motion * 6878136.6 / 299792458.0
     np.testing.assert_allclose(v_over_c / ARCSEC, 5.24, atol=0.005)
     # the Earth's own motion, 1e-4 c, makes 1 + 1e-4 of it; 60 s of the orbit are 3.8 deg
     assert 0.998 * v_over_c < shift.max() < 1.0002 * v_over_c
 
 
 def test_the_true_observer_has_the_nominal_elements_that_it_leaves_out():
-    nominal = config.ObserverConfig(altitude_km=700.0, raan_deg=10.0)
-    assert scenario.observer(nominal, TrueObserverConfig()) == scenario.observer(nominal)
-    true = scenario.observer(nominal, TrueObserverConfig(velocity='orbit', raan_deg=0.0))
-    assert true == sky.Observer('orbit', altitude_km=700.0, raan_deg=0.0)
+    nominal = ObserverConfig(altitude_km=700.0, raan_deg=10.0)
+    assert models.observer(nominal, TrueObserverConfig()) == models.observer(nominal)
+    true = models.observer(nominal, TrueObserverConfig(velocity='orbit', raan_deg=0.0))
+    assert true == Observer('orbit', altitude_km=700.0, raan_deg=0.0)
 
 
 # Star tracker: smear
@@ -378,8 +379,8 @@ def test_drift_turns_the_star_tracker_about_its_axes():
                              'truth.mounting_drift.time_constant_s': 100.0})
     frames, truth = tracker_of(setting, 200), Truth.from_scenario(setting)
     stars = catalog.load(8.0)
-    u_i = sky.apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
-                              frames.star_counts, scenario.observer(setting.observer))
+    u_i = apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
+                          frames.star_counts, models.observer(setting.observer))
     C_gi = np.swapaxes(truth.motion.attitude(frames.stamp_ns), -1, -2)
     Psi = truth.drift.at(frames.stamp_ns)
     C_si = (np.eye(3) + rotation.skew(Psi)) @ truth.C_sg @ C_gi

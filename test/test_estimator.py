@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file, scenario as config
+from starcal_ros.config import parameter_file
+from starcal_ros.config.scenario import from_flat
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
 from starcal_ros.filter.calibrator import Stream
@@ -495,7 +496,7 @@ class Run:
         q_ig = rng.normal(size=4)
         values = SCENARIO.flat()
         del values['truth.mounting.fixed_angles_deg']
-        scenario = config.from_flat({
+        scenario = from_flat({
             **values, 'simulation.seed': seed, 'simulation.duration_s': duration_s,
             'motion.initial_quaternion_xyzw': tuple((q_ig / np.linalg.norm(q_ig)).tolist()),
             'truth.gyro.bias_deg_h': tuple((drawn.bias / DEG_PER_HOUR).tolist()),

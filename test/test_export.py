@@ -13,7 +13,7 @@ from starcal_ros.config.models import detector
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import DEG_PER_HOUR
-from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.messages import conventions
 from starcal_ros.results import export
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml')
@@ -67,7 +67,7 @@ def test_camera_info_projects_as_the_core(files, seen):
     info = files['camera_info.yaml']
     K, D = info['camera_matrix']['data'], info['distortion_coefficients']['data']
     r_g, uv = seen
-    r_o = r_g @ C_sg.T @ ros_conventions.C_os.T
+    r_o = r_g @ C_sg.T @ conventions.C_os.T
     np.testing.assert_allclose(opencv(r_o, (K[0], K[4], K[2], K[5]), D), uv, atol=1e-9)
 
 

@@ -16,7 +16,7 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.cdr_pointcloud import encode_centroids
-from starcal_ros.recording import reader as record
+from starcal_ros.recording import reader
 from starcal_ros.recording.measured_images import measure
 from starcal_ros.recording.writer import Writer
 from starcal_ros.simulation import sensors
@@ -60,8 +60,8 @@ def test_simulated_images_are_those_of_the_node_and_the_centroids_are_truth(bag)
 
 def test_frames_are_those_of_the_images(bag):
     with pytest.raises(RecordError, match='no topic /star_tracker/centroids'):
-        record.read(bag)
-    recording = record.read(bag, measure=measure(SCENARIO))
+        reader.read(bag)
+    recording = reader.read(bag, measure=measure(SCENARIO))
     frames = recording.frames
     assert recording.frames_topic == '/star_tracker/image_raw' and len(frames) == 10
     assert (np.diff(frames.stamp_ns) == 500_000_000).all() and not recording.warnings
@@ -79,7 +79,7 @@ def test_images_are_measured_where_there_are_centroids_only_when_asked_for(tmp_p
                      1_500_000_000)
     for first, topic, count in ((False, '/star_tracker/centroids', 2),
                                 (True, '/star_tracker/image_raw', 1)):
-        recording = record.read(path, needs_gyro=False, measure=eye, images_first=first)
+        recording = reader.read(path, needs_gyro=False, measure=eye, images_first=first)
         assert recording.frames_topic == topic and len(recording.frames) == count
 
 
@@ -98,7 +98,7 @@ def test_an_image_that_can_not_be_used_is_named(tmp_path):
     with Writer(path) as writer:
         writer.write('/star_tracker/image_raw', IMAGE_TYPE, data, 1)
     with pytest.raises(RecordError, match="image_raw: unsupported encoding: 'yuv422'"):
-        record.read(path, needs_gyro=False, measure=measure(SCENARIO))
+        reader.read(path, needs_gyro=False, measure=measure(SCENARIO))
 
 
 def test_images_of_another_size_than_the_camera_are_named(bag, capsys):

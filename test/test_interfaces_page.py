@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 import re
 
-from starcal_ros.config import scenario as config
+from starcal_ros.config import scenario
 
 TOP = Path(__file__).parents[1]
 NODES = TOP / 'starcal_ros' / 'nodes'
@@ -24,11 +24,11 @@ def test_every_parameter_that_is_named_exists():
     assert len(named) > 10
     for name in named:
         assert any(key == name or name.endswith('.') and key.startswith(name)
-                   for key in config.parameters()), name
+                   for key in scenario.parameters()), name
 
 
 def test_every_parameter_that_may_change_is_named():
-    for key, parameter in config.parameters().items():
+    for key, parameter in scenario.parameters().items():
         if parameter.spec.changeable:
             assert f'`{key}`' in TEXT or f'`{key.rpartition(".")[0]}.*`' in TEXT, key
 

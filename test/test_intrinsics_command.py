@@ -14,7 +14,7 @@ from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
 from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
 from starcal_ros.filter.error_state import LENS, SCALE, Filter
-from starcal_ros.recording import reader as record
+from starcal_ros.recording import reader
 from starcal_ros.recording.reader import RecordError
 from starcal_ros.recording.writer import Writer, centroids_batch
 from starcal_ros.simulation import sensors
@@ -64,8 +64,8 @@ def test_a_method_that_needs_the_gyro_says_so(bag, capsys):
 
 def test_calibrate_refuses_a_recording_without_gyro(bag):
     with pytest.raises(RecordError, match='no topic /imu/data_raw'):
-        record.read(bag)
-    assert not len(record.read(bag, needs_gyro=False).gyro)
+        reader.read(bag)
+    assert not len(reader.read(bag, needs_gyro=False).gyro)
 
 
 @pytest.mark.parametrize('words, culprit', [

@@ -23,8 +23,8 @@ from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
 from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
-from starcal_ros.messages import conventions as ros_conventions  # noqa: E402
-from starcal_ros.recording import reader as record  # noqa: E402
+from starcal_ros.messages import conventions  # noqa: E402
+from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
@@ -129,10 +129,10 @@ def test_recorder_has_both_parts_and_the_nine_qos_policies_of_the_sensor(
         process, peer, readings, output):
     assert both(peer, Transition.TRANSITION_DEACTIVATE) == [True, True]
     assert change(peer, 'recorder', Transition.TRANSITION_CLEANUP)
-    recording = record.read(output)
+    recording = reader.read(output)
     expected = GyroSamples.concatenate((part(readings, 0., 10.)[0], part(readings, 20., 30.)[0]))
     np.testing.assert_array_equal(recording.gyro.stamp_ns, expected.stamp_ns)
-    counts = {topic.topic: topic.count for topic in record.summary(output).topics}
+    counts = {topic.topic: topic.count for topic in reader.summary(output).topics}
     assert counts['/starcal/state'] == counts['/starcal/camera_info'] == 40     # none twice
     channel = next(channel for channel in McapFile(output).channels.values()
                    if channel.topic == '/imu/data_raw')
@@ -145,10 +145,10 @@ def test_recorder_has_both_parts_and_the_nine_qos_policies_of_the_sensor(
 
 
 def test_offline_calibration_of_the_recording_gives_the_same_numbers(process, peer, output):
-    recording = record.read(output)
+    recording = reader.read(output)
     stream, _ = predicted_centroid.calibrate(recording.gyro, recording.frames, SCENARIO)
     np.testing.assert_array_equal(
-        peer.states[-1].data, ros_conventions.state_vector(stream.stamp_ns, stream.belief))
+        peer.states[-1].data, conventions.state_vector(stream.stamp_ns, stream.belief))
 
 
 def test_what_keeps_a_node_from_its_next_state_is_said_and_it_stays(process, peer):

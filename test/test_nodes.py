@@ -25,13 +25,13 @@ import yaml  # noqa: E402
 
 from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
-from starcal_ros.cli import processes as demo  # noqa: E402
-from starcal_ros.config import parameter_file, scenario as config  # noqa: E402
+from starcal_ros.cli import processes  # noqa: E402
+from starcal_ros.config import parameter_file, scenario  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
-from starcal_ros.messages import conventions as ros_conventions  # noqa: E402
-from starcal_ros.recording import reader as record  # noqa: E402
+from starcal_ros.messages import conventions  # noqa: E402
+from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.bag import open_bag  # noqa: E402
 from starcal_ros.recording.writer import typestore  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
@@ -45,12 +45,12 @@ SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.y
 @pytest.fixture(scope='module')
 def live(tmp_path_factory):
     """Return the recording of a run of all four nodes."""
-    return demo.run_live(SCENARIO, tmp_path_factory.mktemp('live'))
+    return processes.run_live(SCENARIO, tmp_path_factory.mktemp('live'))
 
 
 @pytest.fixture(scope='module')
 def recorded(live):
-    return record.read(live)
+    return reader.read(live)
 
 
 @pytest.fixture(scope='module')
@@ -85,11 +85,11 @@ def test_recording_holds_all_that_the_simulators_made_to_the_bit(recorded):
 
 
 def test_live_and_offline_estimates_are_the_same_numbers(live, offline):
-    assert demo.compare(live, offline) < 1e-9
+    assert processes.compare(live, offline) < 1e-9
 
 
 def test_each_frame_gives_one_of_each_result(live):
-    counts = {topic.topic: topic.count for topic in record.summary(live).topics}
+    counts = {topic.topic: topic.count for topic in reader.summary(live).topics}
     for name in ('state', 'camera_info', 'gyro_bias', 'mounting', 'residuals'):
         assert counts[f'/starcal/{name}'] == 2 * DURATION_S
     assert counts['/diagnostics'] >= 1
@@ -119,7 +119,7 @@ def test_results_are_the_estimate_in_the_conventions_of_ros(live, offline):
     estimate, detector = offline.belief.estimate, offline.filter.detector
     info = messages(live, '/starcal/camera_info')[-1]
     assert (info.distortion_model, info.header.frame_id) == ('plumb_bob', 'star_tracker_optical')
-    np.testing.assert_allclose(ros_conventions.from_camera_info(info.k, info.d, detector),
+    np.testing.assert_allclose(conventions.from_camera_info(info.k, info.d, detector),
                                estimate.intrinsics, rtol=1e-9)
     # What image_geometry and image_proc need: five coefficients, nothing rectified, no region.
     K, P = np.reshape(info.k, (3, 3)), np.reshape(info.p, (3, 4))
@@ -128,7 +128,7 @@ def test_results_are_the_estimate_in_the_conventions_of_ros(live, offline):
     assert (len(info.d), info.width, info.height) == (5, 1024, 1024)
     assert (info.binning_x, info.binning_y, info.roi.width) == (0, 0, 0)
     q = messages(live, '/starcal/mounting')[-1].pose.pose.orientation
-    C_sg = ros_conventions.mounting_from_optical(
+    C_sg = conventions.mounting_from_optical(
         rotation.to_matrix(np.array([q.x, q.y, q.z, q.w])))
     np.testing.assert_allclose(C_sg, estimate.C_sg, atol=1e-12)
     bias = messages(live, '/starcal/gyro_bias')[-1].twist.twist.angular
@@ -247,7 +247,7 @@ def test_calibrations_are_saved_undone_and_begun_with(start, parameters, peer, r
 def test_parameters_are_described_and_gates_and_noise_may_change(start, parameters, peer):
     """And what the middleware can not match is said in words."""
     estimator = start('estimator', *parameters)
-    own = {name: parameter for name, parameter in config.parameters().items()
+    own = {name: parameter for name, parameter in scenario.parameters().items()
            if name.split('.')[0] in ('autostart', 'camera', 'gyro', 'mounting', 'observer',
                                      'estimator')}
     described = peer.call(DescribeParameters, 'estimator/describe_parameters',
@@ -332,7 +332,7 @@ def test_replay_gives_the_estimator_the_same_numbers_again(start, parameters, li
         if process is not player:
             process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 0
-    np.testing.assert_array_equal(demo.last_state(copy), demo.last_state(live))
+    np.testing.assert_array_equal(processes.last_state(copy), processes.last_state(live))
 
 
 def test_simulation_ends_in_the_same_way_without_anyone_listening(start, parameters):

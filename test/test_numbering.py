@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip('tetra3rs')
 
 from starcal_ros.config import parameter_file  # noqa: E402
-from starcal_ros.identification import frame_identifier as numbering_module  # noqa: E402
+from starcal_ros.identification import frame_identifier  # noqa: E402
 from starcal_ros.identification.frame_identifier import Numbering  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
@@ -151,8 +151,8 @@ def test_mirrored_stars_are_told_and_get_no_number(readings):
 
 
 def test_readings_without_frames_do_not_fill_the_memory(readings, monkeypatch):
-    monkeypatch.setattr(numbering_module, '_GYRO_KEPT', 500)
-    monkeypatch.setattr(numbering_module, '_PARTS', 100)
+    monkeypatch.setattr(frame_identifier, '_GYRO_KEPT', 500)
+    monkeypatch.setattr(frame_identifier, '_PARTS', 100)
     gyro, frames = readings
     numbering = Numbering(SCENARIO)
     for k in range(len(gyro)):

@@ -19,14 +19,15 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.messages.conventions import from_camera_info
-from starcal_ros.sky import apparent as sky, catalog
-from starcal_ros.workflows.still_images import calibration as plates
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import Observer, apparent_places
+from starcal_ros.workflows.still_images import calibration
 
 SKY = Path(__file__).parents[2] / 'shared' / 'data' / 'real_sky'
 EPOCH = '2018-01-01T00:00:00'
 WIDTH, HEIGHT = 1280, 960
-TRUE = dict(zip(plates.KEYS, (2657.9, 657.2, 431.2, -0.032, 0.6, -7e-4, -1.1e-3)))
-SCENARIO = plates.scenario_of(WIDTH, HEIGHT, 2600.0, 'bundle')
+TRUE = dict(zip(calibration.KEYS, (2657.9, 657.2, 431.2, -0.032, 0.6, -7e-4, -1.1e-3)))
+SCENARIO = calibration.scenario_of(WIDTH, HEIGHT, 2600.0, 'bundle')
 PIXELS = detector(SCENARIO.camera)
 
 
@@ -40,8 +41,8 @@ def write(path, images, sigma=0.1, seed=1, held=(), wrong=0.0):
     """Write the stars of random looks at the sky, so many of them under numbers of others."""
     rng = np.random.default_rng(seed)
     stars = catalog.load(6.5)
-    u_i = sky.apparent_places(stars, np.arange(len(stars)), np.array([unix_ns(EPOCH)]),
-                              np.array([len(stars)]), sky.Observer(velocity='barycentre'))
+    u_i = apparent_places(stars, np.arange(len(stars)), np.array([unix_ns(EPOCH)]),
+                          np.array([len(stars)]), Observer(velocity='barycentre'))
     with path.open('w', newline='') as stream:
         table = csv.writer(stream)
         table.writerow(['image', 'catalog_id', 'u', 'v', 'split'])
@@ -64,14 +65,14 @@ def write(path, images, sigma=0.1, seed=1, held=(), wrong=0.0):
 def found(tmp_path_factory):
     """Return what the bundle makes of twelve images, two held out."""
     path = write(tmp_path_factory.mktemp('plates') / 'stars.csv', 12, held=(3, 7))
-    images = plates.read_centroids(path, EPOCH)
-    f_px = plates.focal_length_px(images, WIDTH, HEIGHT)
+    images = calibration.read_centroids(path, EPOCH)
+    f_px = calibration.focal_length_px(images, WIDTH, HEIGHT)
     assert f_px == pytest.approx(TRUE['f_px'], rel=0.05)
-    return plates.calibrate(images, plates.scenario_of(WIDTH, HEIGHT, f_px, 'bundle')).as_dict()
+    return calibration.calibrate(images, calibration.scenario_of(WIDTH, HEIGHT, f_px, 'bundle')).as_dict()
 
 
 def test_the_true_camera_is_found_within_its_sigma(found):
-    error = np.array([found[key] - TRUE[key] for key in plates.KEYS])
+    error = np.array([found[key] - TRUE[key] for key in calibration.KEYS])
     covariance = np.array(found['covariance'])
     assert error @ np.linalg.solve(covariance, error) < 24.3        # 0.999 of chi-square, 7
     assert np.sqrt(np.diag(covariance)) == pytest.approx(list(found['sigma'].values()))
@@ -93,10 +94,11 @@ def test_methods_without_an_attitude_take_a_table_as_a_spreadsheet_writes_it(
 
 @pytest.mark.parametrize('method', ['bundle', 'angular_distance', 'singular_value', 'interstar'])
 def test_a_fifth_of_wrong_numbers_is_let_go(method, tmp_path):
-    images = plates.read_centroids(write(tmp_path / 'stars.csv', 12, wrong=0.2), EPOCH)
-    f_px = plates.focal_length_px(images, WIDTH, HEIGHT)
-    found = plates.calibrate(images, plates.scenario_of(WIDTH, HEIGHT, f_px, method)).as_dict()
-    error = np.array([found[key] - TRUE[key] for key in plates.KEYS])
+    images = calibration.read_centroids(write(tmp_path / 'stars.csv', 12, wrong=0.2), EPOCH)
+    f_px = calibration.focal_length_px(images, WIDTH, HEIGHT)
+    found = calibration.calibrate(images, calibration.scenario_of(
+        WIDTH, HEIGHT, f_px, method)).as_dict()
+    error = np.array([found[key] - TRUE[key] for key in calibration.KEYS])
     assert error @ np.linalg.solve(np.array(found['covariance']), error) < 24.3
     assert found['counts']['images'] == 12
 
@@ -125,11 +127,11 @@ def test_covariance_goes_over_to_opencv_as_differences_say():
     rng = np.random.default_rng(2)
     values = intrinsics(**TRUE)
     root = rng.standard_normal((7, 7)) * [0.1, 0.1, 1e-3, 1e-6, 1e-8, 1e-6, 1e-6]
-    _, covariance = plates.opencv(CameraEstimate(values, root.T @ root, 1, 1), SCENARIO)
+    _, covariance = calibration.opencv(CameraEstimate(values, root.T @ root, 1, 1), SCENARIO)
     step = np.array([1e-3, 1e-3, 1e-4, 1e-7, 1e-9, 1e-7, 1e-7])
     J = np.stack([
-        (plates.opencv(CameraEstimate(values + h * e, np.eye(7), 1, 1), SCENARIO)[0]
-         - plates.opencv(CameraEstimate(values - h * e, np.eye(7), 1, 1), SCENARIO)[0]) / (2 * h)
+        (calibration.opencv(CameraEstimate(values + h * e, np.eye(7), 1, 1), SCENARIO)[0]
+         - calibration.opencv(CameraEstimate(values - h * e, np.eye(7), 1, 1), SCENARIO)[0]) / (2 * h)
         for h, e in zip(step, np.eye(7))], axis=1)
     expected = J @ root.T @ root @ J.T
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
@@ -137,8 +139,8 @@ def test_covariance_goes_over_to_opencv_as_differences_say():
 
 
 def test_keys_are_opencvs(found):
-    assert intrinsics(**{key: found[key] for key in plates.KEYS})[2] == pytest.approx(
-        found['f_px'] * plates.PITCH_MM)
+    assert intrinsics(**{key: found[key] for key in calibration.KEYS})[2] == pytest.approx(
+        found['f_px'] * calibration.PITCH_MM)
     uv = np.array([[300.0, -200.0]])
     r_s = camera.unproject(uv, intrinsics(**TRUE), PIXELS.pitch_mm)[0]
     x, y = -r_s[:2] / r_s[2]                            # optical axes
@@ -168,7 +170,7 @@ def test_real_sky(name, width, height, limit, reference, tmp_path, capsys):
                  str(height), '--out', str(out)]) == 0
     camera_ = json.loads(out.read_text())
     assert camera_['heldout_rms_px'] <= limit and camera_['fit_rms_px'] < 0.15
-    for key, value in zip(plates.KEYS, reference):
+    for key, value in zip(calibration.KEYS, reference):
         assert abs(camera_[key] - value) < 4.0 * camera_['sigma'][key], key
     assert 'held-out' in capsys.readouterr().out
 
@@ -183,7 +185,7 @@ def test_wrong_tables_are_named(text, culprit, tmp_path):
     path = tmp_path / 'stars.csv'
     path.write_text(text)
     with pytest.raises(ConfigError, match=culprit):
-        plates.read_centroids(path, EPOCH)
+        calibration.read_centroids(path, EPOCH)
 
 
 @pytest.mark.parametrize('words, status, culprit', [

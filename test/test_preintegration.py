@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import scenario as config
+from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR
 from starcal_ros.measurements import preintegration
@@ -253,7 +253,7 @@ def test_a_cut_before_the_first_reading_begins_a_silence_of_its_rate():
 def test_integrated_noise_grows_as_the_square_root_of_time():
     """The attitude error of simulated readings has the variance N^2 t, each axis."""
     seconds, runs = 10.0, 150
-    scenario = config.Scenario().replace({
+    scenario = Scenario().replace({
         'simulation.duration_s': seconds, 'gyro.arw_deg_sqrt_h': 0.1, 'motion.dwell_s': 2.0})
     truth = Truth.from_scenario(scenario)
     start = truth.motion.start_ns

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.messages.cdr import encode_imu  # noqa: E402
 from starcal_ros.nodes.recorder import Recorder  # noqa: E402
-from starcal_ros.recording import reader as record  # noqa: E402
+from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.bag import open_bag  # noqa: E402
 from starcal_ros.recording.writer import LATCHED, Writer  # noqa: E402
 
@@ -74,7 +74,7 @@ def copy(bag, tmp_path_factory):
 
 
 def test_copy_equals_the_original(bag, copy):
-    before, after = record.read(bag), record.read(copy)
+    before, after = reader.read(bag), reader.read(copy)
     assert not after.warnings
     for name in ('stamp_ns', 'rate'):
         np.testing.assert_array_equal(getattr(after.gyro, name), getattr(before.gyro, name))
@@ -83,13 +83,13 @@ def test_copy_equals_the_original(bag, copy):
 
 
 def test_copy_has_the_time_base_of_the_stamps(copy):
-    topics = {topic.topic: topic for topic in record.summary(copy).topics}
+    topics = {topic.topic: topic for topic in reader.summary(copy).topics}
     assert topics['/imu/data_raw'].rate_hz == pytest.approx(100.0)
     assert topics['/imu/data_raw'].last_ns == START_NS + 10_000_000 * N_GYRO
 
 
 def test_copy_has_truth_qos_and_configuration_but_no_old_result(copy):
-    summary = record.summary(copy)
+    summary = reader.summary(copy)
     topics = {topic.topic: topic for topic in summary.topics}
     assert {*topics} == {'/imu/data_raw', '/star_tracker/centroids', '/truth/parameters'}
     assert topics['/truth/parameters'].qos.startswith('reliable, transient_local')
@@ -104,7 +104,7 @@ def test_recorder_records_chosen_topics_of_any_type(bag, tmp_path):
     assert player.wait(30) == 0, player.stderr.read()
     recorder.send_signal(signal.SIGTERM)
     assert recorder.wait(10) == 0, recorder.stderr.read()
-    counts = {topic.topic: topic.count for topic in record.summary(path).topics}
+    counts = {topic.topic: topic.count for topic in reader.summary(path).topics}
     assert counts == {'/starcal/imu': N_GYRO, '/other': 1}
 
 

@@ -11,7 +11,7 @@ from scipy.special import erf
 from starcal_ros.config.image import CentroidConfig, ImageConfig
 from starcal_ros.config.scenario import Scenario, StarTrackerConfig
 from starcal_ros.config.truth import TrueStarTrackerConfig
-from starcal_ros.core import psf as spot
+from starcal_ros.core import psf
 from starcal_ros.core.camera import Detector
 from starcal_ros.imaging.centroids import extract
 from starcal_ros.simulation.errors import smear
@@ -76,20 +76,20 @@ def test_a_trail_needs_no_more_points_than_it_has(length):
     edges = np.arange(-30.0, 31.0) - 0.2
 
     def profile(count):
-        t, weight = spot.points(count)
-        return weight @ spot.profile(edges - length * t[:, None], 0.7)
+        t, weight = psf.points(count)
+        return weight @ psf.profile(edges - length * t[:, None], 0.7)
 
-    enough = spot.count(length, 0.7)
+    enough = psf.count(length, 0.7)
     np.testing.assert_allclose(profile(enough), profile(4 * enough + 8), atol=2e-5
                                * profile(enough).max())
 
 
 def test_slopes_of_a_profile_agree_with_central_differences():
     edges, h = np.arange(-6.0, 7.0) + 0.3, 1e-4
-    first, second = spot.profile_slopes(edges, 0.8)
+    first, second = psf.profile_slopes(edges, 0.8)
 
     def moved(by):
-        return spot.profile(edges - by, 0.8)
+        return psf.profile(edges - by, 0.8)
 
     np.testing.assert_allclose(first, (moved(h) - moved(-h)) / (2.0 * h), atol=1e-8)
     np.testing.assert_allclose(second, (moved(h) - 2.0 * moved(0.0) + moved(-h)) / h**2,

@@ -22,7 +22,7 @@ from starcal_ros.core import camera
 from starcal_ros.core.camera import Detector
 from starcal_ros.filter import verdict
 from starcal_ros.filter.error_state import STATE_NAMES
-from starcal_ros.recording import reader as record
+from starcal_ros.recording import reader
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.simulation import sensors
 
@@ -142,7 +142,7 @@ def test_nothing_from_outside_becomes_part_of_the_page(page):
 
 def test_states_are_those_of_the_result(page, outcome, made):
     head, *body = page.rows('states')
-    truth = json.loads(record.read(made / HOSTILE).attachments['truth.json'])
+    truth = json.loads(reader.read(made / HOSTILE).attachments['truth.json'])
     states = report.rows(outcome, truth)
     assert len(body) == len(states) == 13
     for cells, state in zip(body, states):
@@ -182,7 +182,7 @@ def test_charts_have_data_and_a_caption(page):
 
 def test_without_truth_the_page_does_without_it(made, tmp_path):
     from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
-    recording = record.read(made / HOSTILE)
+    recording = reader.read(made / HOSTILE)
     with Writer(tmp_path / 'bare.mcap') as writer:
         writer.write_batches(imu_batch('/imu/data_raw', recording.gyro[:3000]),
                              centroids_batch('/star_tracker/centroids', recording.frames[:50]))

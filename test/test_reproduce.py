@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from starcal_ros import cli
+from starcal_ros import cli, report
 from starcal_ros.config import parameter_file
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.evaluation import batch, bounds, montecarlo
 from starcal_ros.filter.error_state import CALIBRATED, PSI, STATE_NAMES, UNIT, Filter
-from starcal_ros.report.published import published as table_of
 from starcal_ros.reproduction import published, real_images, traces
 from starcal_ros.reproduction.published import open_loop, table4
 from starcal_ros.simulation.truth import Truth
@@ -53,7 +52,7 @@ def test_rows_fill_the_columns_and_the_notes_say_what_is_missing(outcome):
 @pytest.mark.parametrize('width', [50, 1000])
 def test_table_shows_every_digit_however_narrow_the_terminal(outcome, width):
     console = Console(width=width, file=io.StringIO())
-    console.print(table_of(outcome))
+    console.print(report.published(outcome))
     assert '\N{HORIZONTAL ELLIPSIS}' not in console.file.getvalue()
 
 

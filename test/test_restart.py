@@ -11,7 +11,7 @@ import pytest
 from starcal_ros.config import parameter_file
 from starcal_ros.filter.calibrator import Stream
 from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, PSI, SIGMA_ACQUIRED, Filter
-from starcal_ros.results import initial as restart, result
+from starcal_ros.results import initial, result
 from starcal_ros.results.store import Archive
 from starcal_ros.simulation import sensors
 
@@ -46,12 +46,12 @@ def half(messages):
 def archive(tmp_path, half):
     """Return an archive with that calibration."""
     archive = Archive(tmp_path)
-    archive.save(restart.files(result.result(half, {'version': '1'}), SCENARIO))
+    archive.save(initial.files(result.result(half, {'version': '1'}), SCENARIO))
     return archive
 
 
 def test_values_and_covariance_are_those_that_were_saved(archive, half):
-    begun = restart.start(ASKED, archive)
+    begun = initial.start(ASKED, archive)
     filter_, estimate = Filter(begun.scenario, begun.covariance), half.belief.estimate
     np.testing.assert_allclose(filter_.start.intrinsics, estimate.intrinsics, rtol=1e-12)
     np.testing.assert_allclose(filter_.start.bias, estimate.bias, rtol=1e-12)
@@ -69,7 +69,7 @@ def test_values_and_covariance_are_those_that_were_saved(archive, half):
 def test_a_calibration_in_two_parts_is_as_good_as_in_one(archive, messages):
     """The attitude is lost between the parts and found again, which tells little of the rest."""
     gyro, frames = messages
-    begun = restart.start(ASKED, archive)
+    begun = initial.start(ASKED, archive)
     second = fed(Stream(begun.scenario, begun.covariance), gyro[6001:], frames[121:])
     whole = fed(Stream(SCENARIO), gyro, frames)
     ratio = second.belief.sigma[CALIBRATED] / whole.belief.sigma[CALIBRATED]
@@ -84,18 +84,18 @@ def test_a_calibration_in_two_parts_is_as_good_as_in_one(archive, messages):
 
 
 def test_nothing_is_loaded_unless_asked_for(archive):
-    assert restart.start(SCENARIO, archive) == restart.Start(SCENARIO)
+    assert initial.start(SCENARIO, archive) == initial.Start(SCENARIO)
 
 
 def test_without_a_saved_one_the_nominal_values_are_used_and_that_is_said(tmp_path):
-    begun = restart.start(ASKED, Archive(tmp_path / 'none'))
+    begun = initial.start(ASKED, Archive(tmp_path / 'none'))
     assert begun.scenario == ASKED and begun.covariance is None and begun.source == ''
     assert 'has no calibration' in begun.notices[0]
 
 
 def test_undone_calibration_is_not_loaded(archive):
     archive.undo()
-    assert restart.start(ASKED, archive).source == ''
+    assert initial.start(ASKED, archive).source == ''
 
 
 def spoil(folder, how):
@@ -125,9 +125,9 @@ def spoil(folder, how):
     ('other detector', '2048 x 1024 pixels')])
 def test_calibration_that_can_not_be_used_is_passed_over_for_the_one_before(
         archive, half, how, said):
-    newer = archive.save(restart.files(result.result(half, {'version': '1'}), SCENARIO))
+    newer = archive.save(initial.files(result.result(half, {'version': '1'}), SCENARIO))
     spoil(newer, how)
-    begun = restart.start(ASKED, archive)
+    begun = initial.start(ASKED, archive)
     assert begun.source == str(archive.directory / '0001')
     assert '0002' in begun.notices[0] and said in begun.notices[0]
 

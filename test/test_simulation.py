@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import (models as scenario, parameter_file, scenario as config,
-                                shipped as resources)
+from starcal_ros.config import models, parameter_file, shipped
+from starcal_ros.config.scenario import Scenario, stamp_ns
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import DEG, DEG_PER_HOUR
 from starcal_ros.measurements.preintegration import preintegrate
@@ -17,10 +17,11 @@ from starcal_ros.simulation import sensors
 from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.star_tracker import StarTrackerSimulator
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import apparent_places
 from starcal_ros.sky.catalog import Catalog
 
-TAN2018 = parameter_file.load(resources.config_file('tan2018.yaml'))
+TAN2018 = parameter_file.load(shipped.config_file('tan2018.yaml'))
 NOISELESS = {'gyro.arw_deg_sqrt_h': 0.0, 'star_tracker.centroid_sigma_px': 0.0}
 UNBIASED = {'truth.gyro.bias_deg_h': (0.0, 0.0, 0.0)}
 # T18 Table 2 at 0.5 deg/s and 0.5 deg/s^2: 30 s of rest, 60 s + 1 s for 30 deg.
@@ -50,7 +51,7 @@ def turns(C):
 
 def one_turn(angle_deg, **more):
     """Return a motion of one rotation about y, again and again, at rest for 2 s before it."""
-    return Motion.from_scenario(config.Scenario().replace(
+    return Motion.from_scenario(Scenario().replace(
         {'motion.axes': ('y',), 'motion.angles_deg': (angle_deg,), 'motion.dwell_s': 2.0, **more}))
 
 
@@ -140,13 +141,13 @@ def test_a_reading_is_stamped_at_the_end_of_its_interval():
     gyro = gyro_of(**{'simulation.duration_s': 2.0})
     samples = gyro.next(1000)
     assert gyro.count == len(samples) == 200
-    start = config.stamp_ns('start', '2026-07-02T12:00:00')
+    start = stamp_ns('start', '2026-07-02T12:00:00')
     np.testing.assert_array_equal(samples.stamp_ns, start + 10**7 * np.arange(1, 201))
 
 
 def test_a_rate_that_does_not_divide_a_second_does_not_drift():
     samples = gyro_of(**{'gyro.rate_hz': 128.5, 'simulation.duration_s': 1000.0}).next(128_500)
-    start = config.stamp_ns('start', '2026-07-02T12:00:00')
+    start = stamp_ns('start', '2026-07-02T12:00:00')
     assert samples.stamp_ns[-1] - start == 1000 * 10**9
     assert np.ptp(np.diff(samples.stamp_ns)) <= 1
 
@@ -194,7 +195,7 @@ def test_a_frame_is_stamped_from_the_start_on():
     tracker = tracker_of(**{'simulation.duration_s': 10.0})
     frames = tracker.next(1000)
     assert tracker.count == len(frames) == 20
-    start = config.stamp_ns('start', '2026-07-02T12:00:00')
+    start = stamp_ns('start', '2026-07-02T12:00:00')
     np.testing.assert_array_equal(frames.stamp_ns, start + 5 * 10**8 * np.arange(20))
 
 
@@ -226,8 +227,8 @@ def all_stars_in_the_field(setting, truth, stamps):
     stars = catalog.load(setting.star_tracker.limiting_magnitude)
     rows = np.arange(len(stars))
     for stamp in stamps.reshape(-1, 1):
-        u_i = sky.apparent_places(stars, rows, stamp, [len(stars)],
-                                  scenario.observer(setting.observer))
+        u_i = apparent_places(stars, rows, stamp, [len(stars)],
+                              models.observer(setting.observer))
         r_s = u_i @ truth.attitude_si(stamp)[0].T
         near = r_s[:, 2] > np.cos(20.0 * DEG)
         uv = camera.project(r_s[near], truth.intrinsics, truth.detector.pitch_mm)
@@ -264,7 +265,7 @@ def test_no_star_is_missed_in_a_corner_that_lies_far_from_the_boresight():
 
 def pole(limiting_magnitude=6.2, **more):
     """Return the only frame of a sky with one star, of magnitude 1, at which the camera looks."""
-    setting = config.Scenario().replace({
+    setting = Scenario().replace({
         'camera.width': 1000, 'camera.height': 601, 'observer.velocity': 'barycentre',
         'star_tracker.limiting_magnitude': limiting_magnitude, **NOISELESS, **more})
     star = Catalog(np.array([7]), *np.array([[0.0], [np.pi / 2], [0.0], [0.0], [0.0], [1.0]]))
@@ -304,8 +305,8 @@ def test_the_two_sensors_see_the_same_truth(truth):
     Delta = preintegrate(samples, cuts, np.zeros(3), 1e7).Delta[0]
     assert np.linalg.norm(rotation.log(Delta)) > 9.0 * DEG
     stars = catalog.load_containing(frame.catalog_id)
-    u_i = sky.apparent_places(stars, stars.rows(frame.catalog_id), frame.stamp_ns,
-                              frame.star_counts, scenario.observer(TAN2018.observer))
+    u_i = apparent_places(stars, stars.rows(frame.catalog_id), frame.stamp_ns,
+                          frame.star_counts, models.observer(TAN2018.observer))
     r_s = u_i @ (truth.C_sg @ Delta @ truth.motion.attitude(cuts[:1])[0].T).T
     uv = camera.project(r_s, truth.intrinsics, truth.detector.pitch_mm)
     # 5000 steps of some 1e-16 rad, 4000 px/rad
@@ -358,7 +359,7 @@ def test_truth_is_that_of_the_group_truth(truth):
 
 
 def test_truth_falls_back_to_the_nominal_values():
-    nominal = config.Scenario().replace({
+    nominal = Scenario().replace({
         'camera.principal_point_px': (1.0, 2.0), 'camera.distortion': (1e-4, 0.0, 0.0, 1e-5),
         'gyro.bias_deg_h': (1.0, 2.0, 3.0), 'mounting.fixed_angles_deg': (1.0, 2.0, 3.0),
         'truth.camera.focal_length_mm': 26.0})
@@ -370,7 +371,7 @@ def test_truth_falls_back_to_the_nominal_values():
 
 
 def test_a_true_value_of_zero_is_not_one_that_is_left_out():
-    zero = Truth.from_scenario(config.Scenario().replace({
+    zero = Truth.from_scenario(Scenario().replace({
         'gyro.bias_deg_h': (1.0, 2.0, 3.0), 'truth.gyro.bias_deg_h': (0.0, 0.0, 0.0),
         'mounting.fixed_angles_deg': (1.0, 2.0, 3.0),
         'truth.mounting.fixed_angles_deg': (0.0, 0.0, 0.0),

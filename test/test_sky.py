@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 
-from starcal_ros.sky import apparent as sky
-from starcal_ros.sky.apparent import Observer, apparent_places
+from starcal_ros.sky.apparent import (GM_EARTH, Observer, _leap_seconds, apparent_places, tai_ns,
+                                      tt_julian_date)
 from starcal_ros.sky.catalog import Catalog, load, load_containing
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def see(stars: Catalog, stamp_ns: int, observer: Observer) -> Array:
 
 def barycentric_velocity(stamp_ns: int, observer: Observer) -> Array:
     """Return the observer's velocity [m/s] from ERFA's Earth."""
-    _, earth = erfa.epv00(*sky.tt_julian_date([stamp_ns]))
+    _, earth = erfa.epv00(*tt_julian_date([stamp_ns]))
     return np.asarray(earth['v'][0] * erfa.DAU / erfa.DAYSEC
                       + observer.geocentric_state([stamp_ns])[1][0])
 
@@ -65,7 +65,7 @@ def test_places_agree_with_astropy_gcrs(observer: Observer, stamp_ns: int) -> No
     rows = np.flatnonzero(stars.parallax_arcsec > 1e-3)  # astropy wants a distance
     rows = np.union1d(rows[::20], rows[np.argsort(stars.pm_dec[rows])[[0, 1, -2, -1]]])
     position, velocity = observer.geocentric_state([stamp_ns])
-    day, fraction = sky.tt_julian_date([stamp_ns])
+    day, fraction = tt_julian_date([stamp_ns])
     with iers.conf.set_temp('auto_download', False):
         when = Time(day[0], fraction[0], format='jd', scale='tt')
         icrs = SkyCoord(
@@ -95,7 +95,7 @@ def test_terrestrial_time_agrees_with_astropy_to_the_nanosecond(utc: str) -> Non
     from astropy.utils import iers
     with iers.conf.set_temp('auto_download', False):
         expected = Time(utc, scale='utc').tt
-    day, fraction = sky.tt_julian_date([np.datetime64(utc, 'ns').astype(np.int64)])
+    day, fraction = tt_julian_date([np.datetime64(utc, 'ns').astype(np.int64)])
     difference = (day[0] - expected.jd1) + (fraction[0] - expected.jd2)
     assert abs(difference) * 86400.0 < 1e-9
 
@@ -104,7 +104,7 @@ def test_terrestrial_time_agrees_with_astropy_to_the_nanosecond(utc: str) -> Non
 
 def test_the_leap_second_of_2016_lies_between_two_stamps_one_second_apart() -> None:
     new_year = np.datetime64('2017-01-01T00:00:00', 'ns').astype(np.int64)
-    before, after = sky.tai_ns(np.array([new_year - 10**9, new_year]))
+    before, after = tai_ns(np.array([new_year - 10**9, new_year]))
     assert after - before == 2 * 10**9
     # IERS Bulletin C 52: TAI - UTC is 36 s until, 37 s from 2017-01-01.
     assert before - (new_year - 10**9) == 36 * 10**9
@@ -112,7 +112,7 @@ def test_the_leap_second_of_2016_lies_between_two_stamps_one_second_apart() -> N
 
 
 def test_a_clock_that_starts_at_zero_is_accepted() -> None:
-    assert sky.tai_ns([0]).tolist() == [10 * 10**9]
+    assert tai_ns([0]).tolist() == [10 * 10**9]
     assert np.isfinite(see(load(2.0), 0, ORBIT)).all()
 
 
@@ -204,7 +204,7 @@ def test_the_orbit_is_a_circle_of_its_radius_at_the_two_body_speed() -> None:
     position, velocity = ORBIT.geocentric_state(T0 + 10**9 * np.arange(0, 86400, 60))
     radius = 6378136.6 + 500e3
     assert np.allclose(np.linalg.norm(position, axis=1), radius, rtol=1e-14)
-    assert np.allclose(np.linalg.norm(velocity, axis=1), np.sqrt(sky.GM_EARTH / radius),
+    assert np.allclose(np.linalg.norm(velocity, axis=1), np.sqrt(GM_EARTH / radius),
                        rtol=1e-14)
     assert np.abs(np.sum(position * velocity, axis=1)).max() < 1e-14 * radius * 7613.0
 
@@ -221,7 +221,7 @@ def test_the_orbit_stands_at_its_elements_at_its_epoch() -> None:
 
 
 def test_the_orbit_closes_after_keplers_period() -> None:
-    period_ns = round(2e9 * np.pi * np.sqrt(ORBIT.radius ** 3 / sky.GM_EARTH))
+    period_ns = round(2e9 * np.pi * np.sqrt(ORBIT.radius ** 3 / GM_EARTH))
     start, end = ORBIT.geocentric_state([T0, T0 + period_ns])[0]
     # Half a nanosecond of rounding at 7.6 km/s is 4 um; cos and sin round at 1e-9 m.
     assert np.linalg.norm(end - start) < 1e-5
@@ -303,7 +303,7 @@ def test_nothing_is_downloaded(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError('network used')
     monkeypatch.setattr(socket, 'socket', refuse)
     monkeypatch.setattr(socket, 'create_connection', refuse)
-    sky._leap_seconds.cache_clear()
+    _leap_seconds.cache_clear()
     assert np.isfinite(see(load(4.0), T0, ORBIT)).all()
 
 

@@ -19,7 +19,8 @@ from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import apparent_places
 
 # 30 s at rest, then 60 s of slew.
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
@@ -697,8 +698,8 @@ def test_apparent_places_are_those_of_the_frames_own_stamp(run):
     later = Simulated(year)
     stars = catalog.load_containing(later.frames.catalog_id[:5])
     rows = stars.rows(later.frames.catalog_id[:5])
-    places = [sky.apparent_places(stars, rows, run_.frames.stamp_ns[:1], [5],
-                                  observer(SCENARIO.observer)) for run_ in (run, later)]
+    places = [apparent_places(stars, rows, run_.frames.stamp_ns[:1], [5],
+                              observer(SCENARIO.observer)) for run_ in (run, later)]
     # half a year turns v/c = 1e-4 round: up to 2e-4 rad
     assert np.abs(places[0] - places[1]).max() > 5e-5
     _, results = calibrated(later.gyro, later.frames)

@@ -18,10 +18,10 @@ from rich.console import Console
 
 from starcal_ros import cli
 from starcal_ros.calibration.methods import predicted_centroid
-from starcal_ros.cli import processes as demo
+from starcal_ros.cli import processes
 from starcal_ros.config import parameter_file
 from starcal_ros.filter.error_state import N_STATES, STATE_NAMES
-from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.messages import conventions
 from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
 
@@ -122,7 +122,7 @@ def shown(tmp_path_factory):
     parameters = tmp_path_factory.mktemp('watch') / 'scenario.yaml'
     parameters.write_text(parameter_file.dump(SCENARIO))
     estimator, *simulators = (
-        subprocess.Popen(demo.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
+        subprocess.Popen(processes.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
         for name in ('estimator', 'star_tracker_sim', 'gyro_sim'))
     assert [simulator.wait(PATIENCE_S) for simulator in simulators] == [0, 0]
     ours, theirs = pty.openpty()
@@ -159,7 +159,7 @@ def test_late_watch_shows_the_states_of_the_estimator(shown):
     gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
     stream, _ = predicted_centroid.calibrate(
         gyro.next(gyro.count), tracker.next(tracker.count), SCENARIO)
-    offline = text(Seen(ros_conventions.state_vector(stream.stamp_ns, stream.belief),
+    offline = text(Seen(conventions.state_vector(stream.stamp_ns, stream.belief),
                         level=0, silent_s=0.0))
     rows = {line.split()[0]: line.split()[1:3] for line in shown.splitlines() if line.split()}
     expected = [line.split()[:3] for line in offline.splitlines()[-N_STATES:]]
@@ -183,7 +183,7 @@ def test_tolerances_are_those_of_the_diagnostics():
 
 
 def test_without_ros_the_command_says_what_is_missing(monkeypatch, capsys):
-    monkeypatch.setattr(demo, 'find_spec', lambda name: None)
+    monkeypatch.setattr(processes, 'find_spec', lambda name: None)
     assert cli.main(['watch']) == 1
     assert "starcal watch: no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'" \
         in ' '.join(capsys.readouterr().err.split())

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from starcal_ros.config import parameter_file, shipped as resources
+from starcal_ros.config import parameter_file, shipped
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 
@@ -40,7 +40,7 @@ def scenario(options: argparse.Namespace, **values: object) -> Scenario:
     values
         Parameters of the group ``simulation``, by name.
     """
-    path = options.config or resources.config_file('tan2018.yaml')
+    path = options.config or shipped.config_file('tan2018.yaml')
     given = {key: value for key, value in values.items() if value is not None}
     return parameter_file.load(path).replace(
         {f'simulation.{key}': value for key, value in given.items()})

@@ -38,13 +38,13 @@ def run(options: argparse.Namespace) -> int:
     if out is not None:
         arguments.require_writable(out)
     from starcal_ros import report
-    from starcal_ros.recording import reader as record
+    from starcal_ros.recording import reader
     from starcal_ros.results import result
     try:
         from starcal_ros.recording.measured_images import measure
         from starcal_ros.workflows.bootstrap import bootstrap
         with progress('reading') as on_progress:
-            recording = record.read(options.bag, on_progress, measure=measure(scenario),
+            recording = reader.read(options.bag, on_progress, measure=measure(scenario),
                                     images_first=options.images)
         with progress('bootstrap') as on_progress:
             chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     outcome = result.result(chain.stream, result.provenance(scenario, recording))
     outcome['steps'] = [{'step': step.name, **result.camera(step.camera)}
                         for step in chain.steps]
-    attached = recording.attachments.get(record.TRUTH_ATTACHMENT)
+    attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
     truth = json.loads(attached) if attached else None
     show(report.chain(outcome['steps'], truth, f'Bootstrap of {options.bag}'))
     stars = chain.frames.catalog_id

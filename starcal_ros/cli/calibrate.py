@@ -52,8 +52,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     from starcal_ros import report
     from starcal_ros.calibration.methods import predicted_centroid
     from starcal_ros.filter import verdict
-    from starcal_ros.recording import reader as record
-    from starcal_ros.results import export, initial as restart, result
+    from starcal_ros.recording import reader
+    from starcal_ros.results import export, initial, result
     from starcal_ros.results.store import Archive
 
     for path in (out, figure, page):
@@ -62,12 +62,12 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     if folder is not None:
         arguments.make_folder(folder)
     with progress('reading') as on_progress:
-        recording = record.read(bag, on_progress)
+        recording = reader.read(bag, on_progress)
     contradictions = list(_contradictions(
-        recording.attachments.get(record.CONFIG_ATTACHMENT), scenario))
+        recording.attachments.get(reader.CONFIG_ATTACHMENT), scenario))
     for text in contradictions:
         say(f'warning: {text}')
-    start = restart.start(scenario, Archive(Path(scenario.estimator.calibration_directory)))
+    start = initial.start(scenario, Archive(Path(scenario.estimator.calibration_directory)))
     with progress('calibrating') as on_progress:
         stream, history = predicted_centroid.calibrate(
             recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
@@ -80,7 +80,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     if folder is not None:
         for name, content in export.files(outcome, scenario).items():
             (folder / name).write_text(content, encoding='utf-8')
-    attached = recording.attachments.get(record.TRUTH_ATTACHMENT)
+    attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
     truth = json.loads(attached) if attached else None
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     show(report.summary(outcome))

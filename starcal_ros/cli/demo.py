@@ -35,17 +35,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.cli import processes as demo
+    from starcal_ros.cli import processes
     scenario = arguments.scenario(
         options, duration_s=options.duration, real_time_factor=options.factor)
     folder = Path(options.out)
-    demo.make_room(folder)
+    processes.make_room(folder)
     with progress('live run') as on_progress:
-        recording = demo.run_live(scenario, folder, on_progress)
-    stream = calibrate_recording(recording, scenario, folder / demo.RESULT,
-                                 folder / demo.FIGURE, folder / demo.REPORT)
-    difference = demo.compare(recording, stream)
+        recording = processes.run_live(scenario, folder, on_progress)
+    stream = calibrate_recording(recording, scenario, folder / processes.RESULT,
+                                 folder / processes.FIGURE, folder / processes.REPORT)
+    difference = processes.compare(recording, stream)
     show(f'Live estimator and offline calibration differ by at most {difference:.1e} of the '
          'values.')
-    show(f'In {folder}/: {demo.RECORDING}, {demo.RESULT}, {demo.FIGURE}, {demo.REPORT}')
+    show(f'In {folder}/: {processes.RECORDING}, {processes.RESULT}, {processes.FIGURE}, {processes.REPORT}')
     return 0 if difference < SAME else 1

@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.recording import reader as record
-    summary = record.summary(options.bag)
+    from starcal_ros.recording import reader
+    summary = reader.summary(options.bag)
     table = Table(title=f'{options.bag}: {summary.duration_s:.2f} s, '
                         f'{summary.n_bytes / 1e6:.1f} MB')
     for column in ('topic', 'type', 'messages', 'rate [Hz]'):

@@ -91,11 +91,11 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     scenario = arguments.scenario(options).replace(_given(options))
     method = calibration.start(scenario)
     from starcal_ros import report
-    from starcal_ros.recording import reader as record
+    from starcal_ros.recording import reader
     from starcal_ros.recording.measured_images import measure
     from starcal_ros.results import result
     with progress('reading') as on_progress:
-        recording = record.read(options.source, on_progress, needs_gyro=False,
+        recording = reader.read(options.source, on_progress, needs_gyro=False,
                                 measure=measure(scenario))
     frames = recording.frames
     with progress('calibrating') as on_progress:
@@ -114,7 +114,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
             f'{(frames.catalog_id > 0).sum()} of them identified')
     outcome = {'method': scenario.intrinsics.method, **result.camera(estimate),
                'provenance': result.provenance(scenario, recording)}
-    attached = recording.attachments.get(record.TRUTH_ATTACHMENT)
+    attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
     truth = json.loads(attached) if attached else None
     show(report.camera(outcome, truth, f'Camera of {options.source}, {outcome["method"]}'))
     return outcome

@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros.config import parameter_file, shipped as resources
+from starcal_ros.config import parameter_file, shipped
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.calibrator import Stream
 from starcal_ros.filter.error_state import N_STATES
-from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.messages import conventions
 from starcal_ros.recording.bag import open_bag
 from starcal_ros.recording.writer import typestore
 
@@ -113,7 +113,7 @@ def isolated() -> dict[str, str]:
         variable = 'FASTRTPS_DEFAULT_PROFILES_FILE'
     return {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),   # above 101: Linux's ephemeral ports
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-            variable: str(resources.config_file('fastdds_fast_discovery.xml'))}
+            variable: str(shipped.config_file('fastdds_fast_discovery.xml'))}
 
 
 def _follow(process: subprocess.Popen[str], on_progress: Callable[[float], None]) -> None:
@@ -169,7 +169,7 @@ def compare(recording: Path, stream: Stream) -> float:
     live = last_state(recording)
     if live is None or stream.belief is None:
         return float('inf')
-    offline = ros_conventions.state_vector(stream.stamp_ns, stream.belief)
+    offline = conventions.state_vector(stream.stamp_ns, stream.belief)
     sigma = stream.belief.sigma
     scale = np.concatenate((np.abs(offline[:1 + N_STATES]), np.outer(sigma, sigma).ravel()))
     return float(np.max(np.abs(live - offline) / scale))

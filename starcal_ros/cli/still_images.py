@@ -125,14 +125,14 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     """
     from starcal_ros import report
     from starcal_ros.results import result
-    from starcal_ros.workflows.still_images import calibration as plates
+    from starcal_ros.workflows.still_images import calibration
     site = _site(options)
     where = options.centroids or options.source
     read = _of_table if options.centroids else _of_folder
     source = read(options, site)
     velocity = 'geocentre' if options.aberration or site else 'barycentre'
-    scenario = plates.scenario_of(source.width, source.height, source.focal_length_px,
-                                  options.method or 'bundle', velocity).replace(given)
+    scenario = calibration.scenario_of(source.width, source.height, source.focal_length_px,
+                                       options.method or 'bundle', velocity).replace(given)
     images, notices = source.images, []
     if site is not None:
         from starcal_ros.workflows.still_images.atmosphere import numbers_in_the_air
@@ -149,7 +149,7 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
                              for name, why in source.told['left_out'].items())):
         say(f'warning: {text}')
     with progress('calibrating') as on_progress:
-        found = plates.calibrate(images, scenario, site)
+        found = calibration.calibrate(images, scenario, site)
         on_progress(1.0)
     if found is None:
         raise result.CalibrationError(
@@ -168,21 +168,21 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_table(options: argparse.Namespace, site: Site | None) -> _Source:
-    from starcal_ros.workflows.still_images import calibration as plates
+    from starcal_ros.workflows.still_images import calibration
     if not (options.width and options.height):
         raise ConfigError('--centroids: needs --width and --height of the images')
     if site is not None and not options.epoch:
         raise ConfigError('--site: needs --epoch, the time of the images')
-    images = plates.read_centroids(options.centroids, options.epoch or EPOCH)
-    f_px = (plates.focal_length_of_field(options.fov, options.width) if options.fov
-            else plates.focal_length_px(images, options.width, options.height))
+    images = calibration.read_centroids(options.centroids, options.epoch or EPOCH)
+    f_px = (calibration.focal_length_of_field(options.fov, options.width) if options.fov
+            else calibration.focal_length_px(images, options.width, options.height))
     return _Source(images, options.width, options.height, f_px, {'left_out': {}, 'notices': []})
 
 
 def _of_folder(options: argparse.Namespace, site: Site | None) -> _Source:
     from starcal_ros.results.result import CalibrationError
     from starcal_ros.sky.apparent import Observer
-    from starcal_ros.workflows.still_images import calibration as plates, folder as plate_images
+    from starcal_ros.workflows.still_images import calibration, folder as plate_images
     if options.stars:
         arguments.require_writable(Path(options.stars))
     velocity = 'geocentre' if options.aberration or site else 'barycentre'
@@ -214,7 +214,7 @@ def _of_folder(options: argparse.Namespace, site: Site | None) -> _Source:
     heldout = [bool(every) and k % every == every - 1 for k in range(len(images))]
     if options.stars:
         plate_images.write_table(options.stars, images, heldout)
-    table = plates.plates(
+    table = calibration.plates(
         [image.name for image in images], [image.uv_raster for image in images],
         [image.catalog_id for image in images], heldout, options.epoch or EPOCH,
         [image.sigma for image in images], [image.stamp_ns for image in images])

@@ -29,7 +29,8 @@ from starcal_ros.measurements.star_directions import SIGMA_PX
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import apparent_places
 
 Array = NDArray[np.float64]
 
@@ -212,8 +213,8 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
         if not known:
             stars = catalog.load_containing(part.catalog_id)
             row = stars.rows(part.catalog_id)
-            u_i = sky.apparent_places(stars, np.maximum(row, 0), part.stamp_ns, part.star_counts,
-                                      observer(scenario.observer))
+            u_i = apparent_places(stars, np.maximum(row, 0), part.stamp_ns, part.star_counts,
+                                  observer(scenario.observer))
         k = np.repeat(np.arange(len(part)), part.star_counts)
         rank = np.arange(len(k)) - part.first[k]
         padded.u_i[run, k, rank] = u_i

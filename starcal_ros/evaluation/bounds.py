@@ -36,7 +36,8 @@ from starcal_ros.measurements.star_directions import SIGMA_PX
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import apparent_places
 
 Array = NDArray[np.float64]
 
@@ -63,8 +64,8 @@ def after(scenario: Scenario, times: Sequence[float] | Array) -> Array:
     tracker = sensors.star_tracker(scenario.replace({'simulation.duration_s': float(max(times))}))
     frames = tracker.next(tracker.count)
     stars = catalog.load(scenario.star_tracker.limiting_magnitude)
-    u_i = sky.apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
-                              frames.star_counts, observer(scenario.observer))
+    u_i = apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
+                          frames.star_counts, observer(scenario.observer))
     ends = [int(time * scenario.star_tracker.rate_hz + 1e-6) for time in times]
     return cramer_rao(Filter(scenario), Truth.from_scenario(scenario), frames, u_i, ends)
 

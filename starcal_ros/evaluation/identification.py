@@ -22,7 +22,8 @@ from starcal_ros.core import camera
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.rotation import to_matrix
 from starcal_ros.identification.identifier import Identification
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import Observer, apparent_places
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ class Viewer:
     detector: Detector
     intrinsics: Array
     rng: np.random.Generator
-    observer: sky.Observer = sky.Observer()
+    observer: Observer = Observer()
     limiting_magnitude: float = 6.4
     sigma_px: float = 0.05
     missing: float = 0.2
@@ -82,7 +83,7 @@ class Viewer:
         reach = np.arctan(detector.pitch_mm * np.hypot(detector.width, detector.height)
                           / self.intrinsics[2])
         row = np.flatnonzero(erfa.s2c(stars.ra, stars.dec) @ C_si[2] > np.cos(reach))
-        u_i = sky.apparent_places(stars, row, [stamp_ns], [len(row)], self.observer)
+        u_i = apparent_places(stars, row, [stamp_ns], [len(row)], self.observer)
         uv = camera.project(u_i @ C_si.T, self.intrinsics, detector.pitch_mm)
         seen = detector.contains(uv) & (rng.random(len(row)) >= self.missing)
         row, uv = row[seen], uv[seen] + self.sigma_px * rng.standard_normal((seen.sum(), 2))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from starcal_ros.core import camera, kalman, rotation
-from starcal_ros.identification import patterns as star_patterns
+from starcal_ros.identification import patterns
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.matching import (RAYLEIGH_MEDIAN, Expected, View, chance, expected,
                                                  fitted, match)
@@ -119,8 +119,8 @@ class Identifier:
         ImportError
             Where tetra3rs is missing.
         """
-        star_patterns.prepare(self._guess.detector, self._guess.focal_range_px,
-                              self._limiting_magnitude)
+        patterns.prepare(self._guess.detector, self._guess.focal_range_px,
+                         self._limiting_magnitude)
 
     def identify(self, uv_raster: Array, flux: Array, stamp_ns: int,
                  turn: Array | None = None, sigma: ArrayLike = 0.0) -> Identification | None:
@@ -179,8 +179,8 @@ class Identifier:
         """
         spots = self._spots(uv_raster, flux, sigma)
         detector = self._guess.detector
-        found = star_patterns.search(spots.uv, spots.flux, detector, self._guess.focal_range_px,
-                                     self._limiting_magnitude)
+        found = patterns.search(spots.uv, spots.flux, detector, self._guess.focal_range_px,
+                                self._limiting_magnitude)
         if found is None:
             return None
         if found.mirrored:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from starcal_ros.core import camera
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
-from starcal_ros.sky import apparent as sky, catalog
-from starcal_ros.sky.apparent import Observer
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import Observer, apparent_places
 from starcal_ros.sky.refraction import Site, refracted
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ class StarField:
     def _places(self, row: NDArray[np.int64], stamp_ns: int | None) -> Array:
         when, who = ((_TIMELESS_NS, self._timeless) if stamp_ns is None
                      else (stamp_ns, self._observer))
-        places = sky.apparent_places(self._stars, row, [when], [len(row)], who)
+        places = apparent_places(self._stars, row, [when], [len(row)], who)
         if self._site is None or stamp_ns is None:
             return places
         return refracted(places, np.full(len(row), stamp_ns), self._site)

@@ -19,7 +19,7 @@ from PIL import Image
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.imaging import exposure_time as image_time
+from starcal_ros.imaging import exposure_time
 
 FITS_SUFFIXES = ('.fits', '.fit', '.fts')
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', *FITS_SUFFIXES)
@@ -99,7 +99,7 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
     with Image.open(path) as picture:
         coded = picture.mode in ('P', 'CMYK', 'YCbCr', 'LAB', 'HSV')
         pixels = np.asarray(picture.convert('RGB') if coded else picture)
-        taken = image_time.of_exif(picture.getexif())
+        taken = exposure_time.of_exif(picture.getexif())
         if picture.mode == 'I':             # Pillow reads 16 bits of some formats into 32
             return pixels, 65535.0, taken
     return pixels, top(pixels.dtype), taken
@@ -125,7 +125,7 @@ def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
         pixels = np.moveaxis(pixels, 0, -1)     # planes of colour
     if order != 'TOP-DOWN':
         pixels = pixels[::-1]
-    return pixels, saturation, image_time.of_fits(header)
+    return pixels, saturation, exposure_time.of_fits(header)
 
 
 def grey(colour: NDArray[np.float32], saturation: float) -> NDArray[np.float32]:

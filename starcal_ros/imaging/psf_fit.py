@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.core import psf as spot
+from starcal_ros.core import psf
 from starcal_ros.imaging.cutouts import Shape, Stamps
 
 Array = NDArray[np.float64]
@@ -228,12 +228,12 @@ class _Image:
     """The part of the light of n stars in each pixel of their stamps, and its derivatives."""
 
     def __init__(self, offset: Array, trail: Array, sigma: Array, half: int) -> None:
-        self._t, weight = spot.points(
-            spot.count(float(np.linalg.norm(trail)), float(np.median(sigma))))
+        self._t, weight = psf.points(
+            psf.count(float(np.linalg.norm(trail)), float(np.median(sigma))))
         edges = np.arange(-half, half + 2) - 0.5 - (
             offset[:, :, None] + trail[:, None] * self._t)[..., None]   # (n, 2, points, k + 1)
         s = sigma[:, None, None, None]
-        slopes = (spot.profile(edges, s), *spot.profile_slopes(edges, s))
+        slopes = (psf.profile(edges, s), *psf.profile_slopes(edges, s))
         self._u = [slope[:, 0] for slope in slopes]
         self._v = [np.swapaxes(weight[:, None] * slope[:, 1], -1, -2) for slope in slopes]
 

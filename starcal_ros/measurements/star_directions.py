@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from starcal_ros.config.models import detector, observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.measurements.samples import Frames, Stars
-from starcal_ros.sky import apparent as sky, catalog
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import apparent_places
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -63,7 +64,7 @@ class Places:
         uv, sigma, measured = self.centroids(frames)
         usable = measured & (row >= 0)
         u_i = np.tile([0.0, 0.0, 1.0], (len(uv), 1))
-        u_i[usable] = sky.apparent_places(
+        u_i[usable] = apparent_places(
             stars, row[usable], frames.stamp_ns,
             np.bincount(frame[usable], minlength=len(frames)), self._observer)
         return Placed(

@@ -9,9 +9,9 @@ from typing import Any
 from sensor_msgs.msg import Image, PointCloud2
 
 from starcal_ros.imaging.spot_meter import SpotMeter
-from starcal_ros.messages import cdr_pointcloud as cdr_cloud
+from starcal_ros.messages import cdr_pointcloud
 from starcal_ros.messages.cdr_image import ImageMessageError, decode_image
-from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
                                          when_subscribed)
 from starcal_ros.nodes.base.managed_node import ManagedNode
@@ -49,7 +49,7 @@ class CentroidExtractor(ManagedNode):
     def deactivate(self) -> None:
         """Use up what has arrived."""
         if self._images is None:
-            runtime.end_timer(self, self._waiting)
+            run_loop.end_timer(self, self._waiting)
         else:
             self._images.take_all()
             self._images.destroy()
@@ -74,9 +74,9 @@ class CentroidExtractor(ManagedNode):
         frame, left_out = self._meter.measure(image, stamp_ns)
         self._tally.done.update({'images': 1, 'spots': len(frame.uv_raster),
                                  'spots left out': left_out})
-        self._spots.publish(cdr_cloud.encode_centroids(frame, frame_id)[0])
+        self._spots.publish(cdr_pointcloud.encode_centroids(frame, frame_id)[0])
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(CentroidExtractor, args)
+    return run_loop.run(CentroidExtractor, args)

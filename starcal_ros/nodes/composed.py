@@ -13,7 +13,7 @@ import sys
 
 from rclpy.node import Node
 
-from starcal_ros.nodes.base import command_line, run_loop as runtime
+from starcal_ros.nodes.base import command_line, run_loop
 
 NODES = ('recorder', 'watch', 'estimator', 'intrinsics_estimator', 'star_identifier',
          'centroid_extractor', 'player', 'star_tracker_sim', 'gyro_sim')
@@ -33,10 +33,10 @@ def main(args: list[str] | None = None) -> int:
     if command_line.asks_for_help(names):
         print(command_line.help_text(__name__, __doc__, 'NODE [NODE ...] '))
         print(f'Nodes: {", ".join(NODES)}')
-        return runtime.STATUS_OK
+        return run_loop.STATUS_OK
     wrong = [name for name in names if name not in NODES]
     if wrong or not names:
         print(f'error: got {", ".join(wrong) or "no node"}, needs one or more of '
               f'{", ".join(NODES)}', file=sys.stderr)
-        return runtime.STATUS_USAGE
-    return runtime.run_together([node_class(name) for name in NODES if name in names], args)
+        return run_loop.STATUS_USAGE
+    return run_loop.run_together([node_class(name) for name in NODES if name in names], args)

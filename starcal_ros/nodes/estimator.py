@@ -14,14 +14,14 @@ from std_srvs.srv import SetBool, Trigger
 from starcal_ros import __version__
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
-from starcal_ros.nodes.base import parameters, run_loop as runtime
+from starcal_ros.messages import cdr, cdr_pointcloud
+from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.flow import MatchedSubscription, when_subscribed
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
 from starcal_ros.nodes.estimator_results import Results
-from starcal_ros.results import initial as restart, result
+from starcal_ros.results import initial, result
 from starcal_ros.results.store import Archive, ArchiveError
 
 _DIAGNOSTICS_S = 1.0
@@ -57,7 +57,7 @@ class Estimator(ManagedNode):
         """Listen to the sensors, as soon as the results have the listeners they must have."""
         self._diagnostics = Diagnostics(self, self.inputs)
         self._timers_running = [
-            runtime.steady_timer(self, _DIAGNOSTICS_S, self._publish_diagnostics),
+            run_loop.steady_timer(self, _DIAGNOSTICS_S, self._publish_diagnostics),
             when_subscribed(self, self._results.publishers,
                             self.scenario.estimator.wait_for_subscribers, self._listen)]
 
@@ -71,7 +71,7 @@ class Estimator(ManagedNode):
     def deactivate(self) -> None:
         """Use up what has arrived and say where the calibration stands."""
         for timer in self._timers_running:
-            runtime.end_timer(self, timer)
+            run_loop.end_timer(self, timer)
         for subscription in self.inputs:
             subscription.take_all()
         self._publish_diagnostics()
@@ -96,7 +96,7 @@ class Estimator(ManagedNode):
 
     def _on_frames(self, batch: list[bytes]) -> None:
         if self._enabled:
-            for part in decoded(batch, cdr_cloud.decode_centroids, self._drop):
+            for part in decoded(batch, cdr_pointcloud.decode_centroids, self._drop):
                 self._stream.add_frames(part)
             self._advance()
 
@@ -120,7 +120,7 @@ class Estimator(ManagedNode):
     # Services and parameters
 
     def _begin(self) -> None:
-        self._start = restart.start(self.scenario, self._archive)
+        self._start = initial.start(self.scenario, self._archive)
         self._stream = Stream(self._start.scenario, self._start.covariance)
         for text in self._start.notices:
             self.get_logger().warning(text)
@@ -131,7 +131,7 @@ class Estimator(ManagedNode):
                 'version': __version__, 'config_sha256': self.scenario.sha256,
                 'saved_utc': datetime.now(timezone.utc).isoformat(timespec='seconds'),
                 'began_with': self._start.source or 'nominal values'})
-            folder = self._archive.save(restart.files(outcome, self.scenario))
+            folder = self._archive.save(initial.files(outcome, self.scenario))
         except (result.CalibrationError, ArchiveError) as error:
             response.success, response.message = False, str(error)
         else:
@@ -167,4 +167,4 @@ class Estimator(ManagedNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(Estimator, args)
+    return run_loop.run(Estimator, args)

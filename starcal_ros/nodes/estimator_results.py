@@ -12,7 +12,7 @@ from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.filter.attitude_track import Track
 from starcal_ros.filter.calibrator import FrameResult, Stream
-from starcal_ros.nodes.base import ros_messages as messages
+from starcal_ros.nodes.base import ros_messages
 from starcal_ros.nodes.base.flow import PATIENCE_S, FlowPublisher, drain
 
 try:
@@ -52,22 +52,22 @@ class Results:
 
     def publish_track(self, stream: Stream, track: Track) -> None:
         """Publish the attitude and the rate at gyro stamps."""
-        for message in messages.imus(track, stream.rate_covariance):
+        for message in ros_messages.imus(track, stream.rate_covariance):
             self._imu.publish(message)
 
     def publish_frame(self, stream: Stream, frame: FrameResult) -> None:
         """Publish what a frame gave."""
         stamp_ns, belief = frame.stamp_ns, frame.belief
         covariance = belief.covariance
-        self._state.publish(messages.state(stamp_ns, belief))
-        self._camera.publish(messages.camera_info(
+        self._state.publish(ros_messages.state(stamp_ns, belief))
+        self._camera.publish(ros_messages.camera_info(
             stamp_ns, belief.estimate.intrinsics, stream.filter.detector))
-        self._bias.publish(messages.gyro_bias(stamp_ns, belief, covariance))
-        self._mounting.publish(messages.mounting(stamp_ns, belief, covariance))
+        self._bias.publish(ros_messages.gyro_bias(stamp_ns, belief, covariance))
+        self._mounting.publish(ros_messages.mounting(stamp_ns, belief, covariance))
         if self._transform:
             self._transform.publish(TFMessage(
-                transforms=[messages.mounting_transform(stamp_ns, belief)]))
-        self._residuals.publish(messages.residuals(frame))
+                transforms=[ros_messages.mounting_transform(stamp_ns, belief)]))
+        self._residuals.publish(ros_messages.residuals(frame))
 
     def publish_diagnostics(self, message: DiagnosticArray) -> None:
         """Publish how the estimator is."""

@@ -11,7 +11,7 @@ from sensor_msgs.msg import Imu
 
 from starcal_ros.messages import cdr
 from starcal_ros.messages.conventions import GYRO_FRAME
-from starcal_ros.nodes.base import parameters, run_loop as runtime
+from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
 from starcal_ros.nodes.base.simulator import Simulator
@@ -44,4 +44,4 @@ class GyroSim(Simulator):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(GyroSim, args)
+    return run_loop.run(GyroSim, args)

@@ -17,8 +17,8 @@ from std_msgs.msg import Float64MultiArray
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.measurements.samples import Frames
-from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
-from starcal_ros.nodes.base import ros_messages as messages, run_loop as runtime
+from starcal_ros.messages import cdr, cdr_pointcloud
+from starcal_ros.nodes.base import ros_messages, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.flow import FlowPublisher, MatchedSubscription, drain
 from starcal_ros.nodes.base.managed_node import ManagedNode
@@ -52,7 +52,7 @@ class IntrinsicsEstimator(ManagedNode):
             MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
             MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
                                 raw=True)]
-        self._timer = runtime.steady_timer(self, _PERIOD_S, self._answer_in_time)
+        self._timer = run_loop.steady_timer(self, _PERIOD_S, self._answer_in_time)
 
     def deactivate(self) -> None:
         """Use up what has arrived and give the last answer."""
@@ -73,7 +73,7 @@ class IntrinsicsEstimator(ManagedNode):
             self._method.add_gyro(part)
 
     def _on_frames(self, batch: list[bytes]) -> None:
-        for part in decoded(batch, cdr_cloud.decode_centroids, self.get_logger().error):
+        for part in decoded(batch, cdr_pointcloud.decode_centroids, self.get_logger().error):
             self._add(part)
 
     def _add(self, frames: Frames) -> None:
@@ -93,13 +93,13 @@ class IntrinsicsEstimator(ManagedNode):
         for text in self._method.take_notices():
             self.get_logger().warning(text)
         if estimate is not None:
-            self._camera.publish(messages.camera_info(
+            self._camera.publish(ros_messages.camera_info(
                 self._stamp_ns, estimate.intrinsics, self._detector))
-            self._state.publish(messages.intrinsics(self._stamp_ns, estimate))
+            self._state.publish(ros_messages.intrinsics(self._stamp_ns, estimate))
         ended = perf_counter()
         self._not_before = ended + (ended - begun) * (1.0 / _SHARE - 1.0)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(IntrinsicsEstimator, args)
+    return run_loop.run(IntrinsicsEstimator, args)

@@ -26,7 +26,7 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import PlayerConfig
 from starcal_ros.core.units import NS
 from starcal_ros.messages.cdr import RecordError
-from starcal_ros.nodes.base import parameters, run_loop as runtime
+from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
 from starcal_ros.nodes.base.topics import GYRO, STARS, TOPICS, message_type
@@ -107,7 +107,7 @@ class Player(Node):
         self.create_service(Trigger, '~/resume', self._resume)
         if player.clock_hz > 0.0:
             self._clock_topic = self.create_publisher(Clock, '/clock', 1)
-            runtime.steady_timer(self, 1.0 / player.clock_hz, self._publish_clock)
+            run_loop.steady_timer(self, 1.0 / player.clock_hz, self._publish_clock)
 
     def _publish_clock(self) -> None:
         sec, nanosec = divmod(self._feed.now_ns, 10**9)
@@ -149,4 +149,4 @@ def _items(bag: Bag, publishers: dict[str, FlowPublisher]) -> Iterator[Item]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(Player, args)
+    return run_loop.run(Player, args)

@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config import parameter_file
-from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.flow import LATCHED, MatchedSubscription
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.topics import TOPICS, is_stamped, message_type, offered_qos
@@ -98,14 +98,14 @@ class Recorder(ManagedNode):
             if topic := self._known.get(name):
                 self._subscribe(name, topic.type_name, topic.latched,
                                 'estimator' if topic.result else '')
-        self._timers_running = [runtime.steady_timer(self, _FLUSH_S, self._flush),
-                                runtime.steady_timer(self, _SEARCH_S, self._search)]
+        self._timers_running = [run_loop.steady_timer(self, _FLUSH_S, self._flush),
+                                run_loop.steady_timer(self, _SEARCH_S, self._search)]
         self.get_logger().info(f'recording to {self._writer.path}')
 
     def deactivate(self) -> None:
         """Write what has arrived and subscribe to nothing."""
         for timer in self._timers_running:
-            runtime.end_timer(self, timer)
+            run_loop.end_timer(self, timer)
         for channel in self._channels.values():
             if channel.subscription:
                 channel.subscription.take_all()
@@ -200,4 +200,4 @@ def _stamp_ns(message: bytes) -> int:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(Recorder, args)
+    return run_loop.run(Recorder, args)

@@ -19,8 +19,8 @@ from sensor_msgs.msg import Imu, PointCloud2
 
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.identification.frame_identifier import Numbering
-from starcal_ros.messages import cdr, cdr_pointcloud as cdr_cloud
-from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.messages import cdr, cdr_pointcloud
+from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
                                          when_subscribed)
@@ -62,7 +62,7 @@ class StarIdentifier(ManagedNode):
         """Listen, as soon as the numbered frames have the listeners they must have."""
         self._tally = Tally(self, 'identification')
         self._timers_running = [
-            runtime.steady_timer(self, _LOOK_S, self._advance),
+            run_loop.steady_timer(self, _LOOK_S, self._advance),
             when_subscribed(self, [self._stars],
                             self.scenario.star_identifier.wait_for_subscribers, self._listen)]
 
@@ -75,7 +75,7 @@ class StarIdentifier(ManagedNode):
     def deactivate(self) -> None:
         """Use up what has arrived; frames that wait go without the readings they wait for."""
         for timer in self._timers_running:
-            runtime.end_timer(self, timer)
+            run_loop.end_timer(self, timer)
         for subscription in self.inputs:
             subscription.take_all()
         self._publish(self._numbering.process(wait=False))
@@ -97,7 +97,7 @@ class StarIdentifier(ManagedNode):
     def _on_spots(self, batch: list[bytes]) -> None:
         self.inputs[0].take_all()       # readings that have come, though their publisher is gone
         for message in batch:
-            for frames in decoded([message], cdr_cloud.decode_centroids, self._drop):
+            for frames in decoded([message], cdr_pointcloud.decode_centroids, self._drop):
                 self._numbering.add_frames(frames)
                 self._waiting.append(_Waiting(message, time.monotonic()))
         self._advance()
@@ -116,7 +116,7 @@ class StarIdentifier(ManagedNode):
         for number in numbers:
             message = self._waiting.popleft().cloud
             try:
-                message = cdr_cloud.with_numbers(message, number)
+                message = cdr_pointcloud.with_numbers(message, number)
             except cdr.RecordError as error:
                 self._tally.fault('unsuitable cloud', f'message dropped: {error}')
                 continue
@@ -128,4 +128,4 @@ class StarIdentifier(ManagedNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(StarIdentifier, args)
+    return run_loop.run(StarIdentifier, args)

@@ -17,8 +17,8 @@ from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.messages import cdr_image, cdr_pointcloud as cdr_cloud
-from starcal_ros.nodes.base import parameters, ros_messages as messages, run_loop as runtime
+from starcal_ros.messages import cdr_image, cdr_pointcloud
+from starcal_ros.nodes.base import parameters, ros_messages, run_loop
 from starcal_ros.nodes.base.flow import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
 from starcal_ros.nodes.base.simulator import Simulator
@@ -48,24 +48,24 @@ class StarTrackerSim(Simulator):
         self._attitude = FlowPublisher(self, QuaternionStamped, 'truth/attitude')
         info = FlowPublisher(self, CameraInfo, 'star_tracker/camera_info', latched=True)
         truth = FlowPublisher(self, Float64MultiArray, 'truth/parameters', latched=True)
-        info.publish(messages.camera_info(
+        info.publish(ros_messages.camera_info(
             self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
         values = self._truth.vector()
-        truth.publish(messages.labelled([(VECTOR_LABEL, len(values))], values))
+        truth.publish(ros_messages.labelled([(VECTOR_LABEL, len(values))], values))
         self.begin(scenario.simulation, self._images or self._centroids, self._items())
 
     def _items(self) -> Iterator[Item]:
         while len(frames := self._simulator.next(_BATCH)):
             attitudes = self._truth.motion.attitude(frames.stamp_ns)
             for stamp_ns, C_ig, message in zip(frames.stamp_ns.tolist(), attitudes,
-                                               cdr_cloud.encode_centroids(frames)):
+                                               cdr_pointcloud.encode_centroids(frames)):
                 if self._renderer and self._images:
                     yield stamp_ns, self._images, cdr_image.encode_image(
                         stamp_ns, self._renderer.image(stamp_ns))
                 yield stamp_ns, self._centroids, message
-                yield stamp_ns, self._attitude, messages.attitude(stamp_ns, C_ig)
+                yield stamp_ns, self._attitude, ros_messages.attitude(stamp_ns, C_ig)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(StarTrackerSim, args)
+    return run_loop.run(StarTrackerSim, args)

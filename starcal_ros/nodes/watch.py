@@ -22,7 +22,7 @@ from rich.live import Live
 from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base import run_loop
 from starcal_ros.report.watch import STAR_FIELDS, STATE_SIZE, Seen, render
 
 _DRAW_S = 0.5
@@ -53,7 +53,7 @@ class Watch(Node):
                           auto_refresh=False)
         if self._console.is_terminal:
             self._live.start()
-            runtime.steady_timer(self, _DRAW_S, self._draw)
+            run_loop.steady_timer(self, _DRAW_S, self._draw)
 
     def close(self) -> None:
         """Leave the last view on the terminal."""
@@ -101,4 +101,4 @@ def points(cloud: PointCloud2) -> NDArray[np.void]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return runtime.run(Watch, args)
+    return run_loop.run(Watch, args)

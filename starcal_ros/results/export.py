@@ -22,7 +22,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR
-from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.messages import conventions
 
 Array = NDArray[np.float64]
 
@@ -40,14 +40,14 @@ def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
         That it was made with: its detector, and the noise of its gyro.
     """
     intrinsics = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS])
-    camera = ros_conventions.camera_info(intrinsics, detector(scenario.camera))
+    camera = conventions.camera_info(intrinsics, detector(scenario.camera))
     return {'camera_info.yaml': _dump(_camera_info(camera, scenario)),
             'camchain.yaml': _dump({'cam0': _camchain(camera, result, scenario)}),
             'imu.yaml': '# Add accelerometer_noise_density and accelerometer_random_walk.\n'
                         + _dump(_imu(result, scenario))}
 
 
-def _camera_info(camera: ros_conventions.PlumbBob, scenario: Scenario) -> dict[str, Any]:
+def _camera_info(camera: conventions.PlumbBob, scenario: Scenario) -> dict[str, Any]:
     def matrix(rows: int, data: list[float]) -> dict[str, Any]:
         return {'rows': rows, 'cols': len(data) // rows, 'data': data}
     return {'image_width': scenario.camera.width, 'image_height': scenario.camera.height,
@@ -57,11 +57,11 @@ def _camera_info(camera: ros_conventions.PlumbBob, scenario: Scenario) -> dict[s
             'projection_matrix': matrix(3, camera.P)}
 
 
-def _camchain(camera: ros_conventions.PlumbBob, result: dict[str, Any], scenario: Scenario
+def _camchain(camera: conventions.PlumbBob, result: dict[str, Any], scenario: Scenario
               ) -> dict[str, Any]:
     q = np.array(result['mounting']['quaternion_xyzw'])
     T_og = np.eye(4)
-    T_og[:3, :3] = ros_conventions.optical_in_gyro(rotation.to_matrix(q)).T
+    T_og[:3, :3] = conventions.optical_in_gyro(rotation.to_matrix(q)).T
     fx, _, cx, _, fy, cy = camera.K[:6]
     augmented = result.get('augmented', {'names': [], 'estimates': []})
     offset = dict(zip(augmented['names'], augmented['estimates'])).get('tau_s', 0.0)

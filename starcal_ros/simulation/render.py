@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from starcal_ros.config.image import ImageConfig
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import psf as spot
+from starcal_ros.core import psf
 from starcal_ros.core.camera import Detector
 from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.star_view import StarView
@@ -92,9 +92,9 @@ class Renderer:
             if np.any(first >= last):
                 continue
             length = float(np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum())
-            t, weight = spot.points(spot.count(length, sigma))
+            t, weight = psf.points(psf.count(length, sigma))
             uv = np.vander(t, len(nodes)) @ (_FROM_NODES @ nodes)
-            p_u, p_v = (spot.profile(np.arange(a, b + 1) - 0.5 - at[:, None], sigma)
+            p_u, p_v = (psf.profile(np.arange(a, b + 1) - 0.5 - at[:, None], sigma)
                         for a, b, at in zip(first, last, uv.T))
             image[first[1]:last[1], first[0]:last[0]] += (
                 p_v.T @ (electrons[k] * weight[:, None] * p_u))

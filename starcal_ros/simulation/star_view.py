@@ -13,7 +13,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky import apparent as sky
+from starcal_ros.sky.apparent import apparent_places
 from starcal_ros.sky.catalog import Catalog
 
 Array = NDArray[np.float64]
@@ -63,8 +63,8 @@ class StarView:
         C_si = self.truth.attitude_si(middle_ns)
         near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
         frame, star = np.nonzero(near)
-        return frame, star, sky.apparent_places(self._stars, star, middle_ns, near.sum(axis=1),
-                                                self._observer)
+        return frame, star, apparent_places(self._stars, star, middle_ns, near.sum(axis=1),
+                                            self._observer)
 
     def at(self, stamps_ns: Rows, frame: Rows, u_i: Array) -> Array:
         """Return the images uv (n, 2) [px] of stars of some frames, each frame at its stamp."""

@@ -37,7 +37,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base import run_loop
 
 STREAM = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL,
                     durability=DurabilityPolicy.VOLATILE)
@@ -121,7 +121,7 @@ class FlowPublisher:
             False when the process was asked to end some time ago, or patience is at its end.
         """
         while self._gave_up or time.monotonic() < self._next_try or not self._try(message):
-            if runtime.seconds_since_stop() > _GRACE_S:
+            if run_loop.seconds_since_stop() > _GRACE_S:
                 self._gave_up = True        # what follows would wait in vain as well
                 return False
             if self._waited_s > self._patience_s:
@@ -204,7 +204,7 @@ def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
         nonlocal told
         missing = [publisher for publisher in publishers if publisher.subscribers < count]
         if not missing:
-            runtime.end_timer(node, timer)
+            run_loop.end_timer(node, timer)
             callback()
         elif not told and time.monotonic() - began > _WORTH_TELLING_S:
             told = True
@@ -212,7 +212,7 @@ def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
                 f'{publisher.topic} has {publisher.subscribers} of {count}'
                 for publisher in missing))
 
-    timer = runtime.steady_timer(node, 0.02, poll)
+    timer = run_loop.steady_timer(node, 0.02, poll)
     return timer
 
 
@@ -283,7 +283,7 @@ class MatchedSubscription:
         events = SubscriptionEventCallbacks(
             incompatible_qos=self._on_incompatible, message_lost=self._on_lost,
             use_default_callbacks=False)        # each costs time, message by message
-        on_message = runtime.guarded(self._on_message)
+        on_message = run_loop.guarded(self._on_message)
         try:
             return self._node.create_subscription(
                 self._type, self._topic, on_message, qos, raw=self._raw, event_callbacks=events)
@@ -339,7 +339,7 @@ def _looked_at(node: Node) -> list[MatchedSubscription]:
     """Return the subscriptions of a node that one timer looks at again and again."""
     if node not in _LOOKED_AT:
         subscriptions = _LOOKED_AT[node] = []
-        runtime.steady_timer(node, _LOOK_S, lambda: [
+        run_loop.steady_timer(node, _LOOK_S, lambda: [
             subscription.look_again() for subscription in list(subscriptions)])
     return _LOOKED_AT[node]
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.flow import BATCH, FlowPublisher, drain
 
 Item = tuple[int, FlowPublisher, Any]       # stamp [ns], where, message or CDR bytes
@@ -98,7 +98,7 @@ class Feed:
         self._next = next(items, None)
         self._last_ns = self._next[0] if self._next else 0
         self._used: set[FlowPublisher] = set()
-        self._timer = runtime.steady_timer(node, _PERIOD_S, self._on_timer)
+        self._timer = run_loop.steady_timer(node, _PERIOD_S, self._on_timer)
         self.published = 0
         self.paused = self.finished = False
 
@@ -121,7 +121,7 @@ class Feed:
         due_ns, turn_ends = self._clock.now_ns(), time.monotonic() + _TURN_S
         for _ in range(BATCH):          # no more than a subscriber of this process takes at once
             if (self._next is None or self._next[0] > due_ns or self.paused
-                    or time.monotonic() > turn_ends or runtime.stop_requested()):
+                    or time.monotonic() > turn_ends or run_loop.stop_requested()):
                 break
             self._last_ns, publisher, message = self._next
             if not publisher.publish(message):

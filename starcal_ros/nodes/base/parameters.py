@@ -12,9 +12,8 @@ from rcl_interfaces.msg import (FloatingPointRange, IntegerRange, ParameterDescr
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from starcal_ros.config import scenario as config
-from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.scenario import Scenario
+from starcal_ros.config.parameter import ConfigError, Parameter as Declared
+from starcal_ros.config.scenario import Scenario, from_flat, parameters
 
 _TYPES = {float: 'DOUBLE', int: 'INTEGER', bool: 'BOOL', str: 'STRING'}
 
@@ -38,9 +37,9 @@ def declare(node: Node, *groups: str) -> Scenario:
         For an unknown parameter, a wrong type or an impossible value.
     """
     overrides: dict[str, Parameter] = node._parameter_overrides     # rclpy has no public way
-    scenario = config.from_flat({name: given.value for name, given in overrides.items()})
+    scenario = from_flat({name: given.value for name, given in overrides.items()})
     values = scenario.flat()
-    for name, parameter in config.parameters().items():
+    for name, parameter in parameters().items():
         if name.split('.')[0] not in groups:
             continue
         value = values.get(name)
@@ -78,7 +77,7 @@ def follow(node: Node, scenario: Scenario, on_change: Callable[[Scenario], None]
     node.add_post_set_parameters_callback(use)
 
 
-def _descriptor(parameter: config.Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Declared) -> ParameterDescriptor:
     spec, limits = parameter.spec, {}
     constraints = [f'one of {", ".join(spec.choices)}'] if spec.choices else []
     bounded = parameter.element in (int, float)

@@ -17,7 +17,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.camera import Detector
 from starcal_ros.filter.calibrator import FrameResult, Track
 from starcal_ros.filter.error_state import EPSILON, Belief
-from starcal_ros.messages import conventions as ros_conventions
+from starcal_ros.messages import conventions
 from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def imus(track: Track, rate_covariance: Array) -> list[Imu]:
 
 def camera_info(stamp_ns: int, intrinsics: Array, detector: Detector) -> CameraInfo:
     """Return a camera as CameraInfo."""
-    values = ros_conventions.camera_info(intrinsics, detector)
+    values = conventions.camera_info(intrinsics, detector)
     return CameraInfo(
         header=header(stamp_ns, OPTICAL_FRAME), width=detector.width, height=detector.height,
         distortion_model='plumb_bob', k=values.K, d=values.D, p=values.P,
@@ -84,15 +84,15 @@ def mounting(stamp_ns: int, belief: Belief, covariance: Array) -> PoseWithCovari
     """Return `starcal/mounting`: orientation of star_tracker_optical in gyro."""
     C_sg = belief.estimate.C_sg
     message = PoseWithCovarianceStamped(header=header(stamp_ns, GYRO_FRAME))
-    message.pose.pose.orientation = quaternion(ros_conventions.optical_in_gyro(C_sg))
-    message.pose.covariance = ros_conventions.mounting_covariance(C_sg, covariance).ravel()
+    message.pose.pose.orientation = quaternion(conventions.optical_in_gyro(C_sg))
+    message.pose.covariance = conventions.mounting_covariance(C_sg, covariance).ravel()
     return message
 
 
 def mounting_transform(stamp_ns: int, belief: Belief) -> TransformStamped:
     """Return the mounting as the transform gyro -> star_tracker_optical."""
     message = TransformStamped(header=header(stamp_ns, GYRO_FRAME), child_frame_id=OPTICAL_FRAME)
-    C_go = ros_conventions.optical_in_gyro(belief.estimate.C_sg)
+    C_go = conventions.optical_in_gyro(belief.estimate.C_sg)
     message.transform.rotation = quaternion(C_go)
     return message
 
@@ -106,13 +106,13 @@ def labelled(parts: list[tuple[str, int]], data: Array) -> Float64MultiArray:
 
 def state(stamp_ns: int, belief: Belief) -> Float64MultiArray:
     """Return `starcal/state`."""
-    return labelled(list(ros_conventions.STATE_LAYOUT),
-                    ros_conventions.state_vector(stamp_ns, belief))
+    return labelled(list(conventions.STATE_LAYOUT),
+                    conventions.state_vector(stamp_ns, belief))
 
 
 def intrinsics(stamp_ns: int, estimate: CameraEstimate) -> Float64MultiArray:
     """Return `starcal/intrinsics/state`."""
-    return labelled(list(ros_conventions.INTRINSICS_LAYOUT), np.concatenate((
+    return labelled(list(conventions.INTRINSICS_LAYOUT), np.concatenate((
         [stamp_ns * 1e-9], estimate.intrinsics, estimate.covariance.ravel())))
 
 

@@ -9,7 +9,7 @@ from collections import Counter
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from starcal_ros.nodes.base import run_loop as runtime
+from starcal_ros.nodes.base import run_loop
 
 _PERIOD_S = 1.0
 
@@ -40,7 +40,7 @@ class Tally:
         self._said: Counter[str] = Counter()
         # Depth 1: the newest counts are all that anybody wants, and nobody is waited for.
         self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', 1)
-        self._timer = runtime.steady_timer(node, _PERIOD_S, self._publish)
+        self._timer = run_loop.steady_timer(node, _PERIOD_S, self._publish)
 
     def fault(self, kind: str, text: str) -> None:
         """Count what is wrong, and say it if it is the first of its kind."""
@@ -50,7 +50,7 @@ class Tally:
 
     def end(self) -> None:
         """Say what was done, and publish no more."""
-        runtime.end_timer(self._node, self._timer)
+        run_loop.end_timer(self._node, self._timer)
         self._publish()
         counts = self.done + self.faults
         self._node.get_logger().info(

@@ -25,13 +25,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import calibration
-from starcal_ros.calibration import bundle_adjustment as bundle, bundle_start
+from starcal_ros.calibration import bundle_adjustment, bundle_start
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Spots
 from starcal_ros.calibration.camera_estimate import CameraEstimate
-from starcal_ros.config import scenario as config
 from starcal_ros.config.models import detector
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.scenario import Scenario
+from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.core import camera
 from starcal_ros.core.units import DEG
 from starcal_ros.core.utc import unix_ns
@@ -237,7 +236,7 @@ def scenario_of(width: int, height: int, focal_length_px: float, method: str,
         Whose velocity aberrates the stars; ``barycentre`` for no aberration.
     """
     f_mm = focal_length_px * PITCH_MM
-    return config.from_flat({
+    return from_flat({
         'camera.width': width, 'camera.height': height, 'camera.pixel_pitch_mm': PITCH_MM,
         'camera.focal_length_mm': f_mm, 'observer.velocity': velocity,
         'star_tracker.centroid_sigma_px': _SIGMA_PX, 'intrinsics.method': method,
@@ -322,10 +321,10 @@ def refit(images: Plates, estimate: CameraEstimate, scenario: Scenario) -> Refit
         return None
     image = np.repeat(np.arange(len(frames)), frames.star_counts)
     enough = np.bincount(image, np.isfinite(placed.stars.sigma),
-                         len(frames)) >= bundle.MIN_STARS
+                         len(frames)) >= bundle_adjustment.MIN_STARS
     pitch_mm = scenario.camera.pixel_pitch_mm
     r_s = camera.unproject(spots.uv, estimate.intrinsics, pitch_mm)
-    adjusted = bundle.adjust(
+    adjusted = bundle_adjustment.adjust(
         spots, estimate.intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
         np.zeros((7, 7)), float(chi2.ppf(scenario.estimator.gate_probability, 2)))
     return Refit(tuple(np.array(images.names)[enough].tolist()), spots, adjusted)
