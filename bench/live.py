@@ -20,8 +20,9 @@ import tempfile
 import time
 
 from starcal_ros.cli import processes
-from starcal_ros.config import parameter_file, shipped
+from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.config.shipped import config_file
 
 DURATION_S = 600.0
 REAL_TIME_S = 20.0
@@ -78,7 +79,7 @@ def run(scenario: Scenario, together: bool) -> tuple[float, dict[str, float]]:
 
 def main() -> int:
     """Print the speeds and loads, and whether they are what is asked for."""
-    scenario = parameter_file.load(shipped.config_file('tan2018.yaml'))
+    scenario = parameter_file.load(config_file('tan2018.yaml'))
     fast = scenario.replace({'simulation.duration_s': DURATION_S,
                              'simulation.real_time_factor': 0.0})
     speeds = []

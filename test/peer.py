@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros.messages import cdr, cdr_pointcloud
+from starcal_ros.messages import cdr_imu, cdr_pointcloud
 
 PATIENCE_S = 60.0
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -46,7 +46,7 @@ class Peer:
 
     def send(self, gyro, frames):
         """Publish messages."""
-        for message in cdr.encode_imu(gyro):
+        for message in cdr_imu.encode_imu(gyro):
             self.gyro.publish(message.tobytes())
         for message in cdr_pointcloud.encode_centroids(frames):
             self.frames.publish(message)

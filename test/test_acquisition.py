@@ -13,8 +13,9 @@ from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
 from starcal_ros.filter.acquisition import MIN_STARS, AcquisitionError, acquire
-from starcal_ros.filter.error_state import (CALIBRATED, SCALE, SIGMA_ACQUIRED, THETA, Filter,
-                                            Nominal)
+from starcal_ros.filter.belief import Nominal
+from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
+from starcal_ros.filter.states import CALIBRATED, SCALE, THETA
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth

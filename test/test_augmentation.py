@@ -12,9 +12,11 @@ from scipy.stats import chi2
 from starcal_ros.config import parameter_file
 from starcal_ros.core import kalman, rotation
 from starcal_ros.filter import augmentation
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import (AUGMENTED, MATRIX, N_STATES, PHI, PSI, SCALE,
-                                            STATE_NAMES, THETA, Belief, Filter, Nominal)
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import (AUGMENTED, MATRIX, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
+                                       THETA)
 from starcal_ros.filter.verdict import judge
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import GyroSamples, Stars

@@ -9,14 +9,14 @@ import erfa
 import numpy as np
 import pytest
 
-from starcal_ros.calibration.methods.predicted_centroid import calibrate
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import stamp_ns
 from starcal_ros.core import rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import CALIBRATED, PHI, STATE_NAMES
+from starcal_ros.filter.offline import calibrate
+from starcal_ros.filter.states import CALIBRATED, PHI, STATE_NAMES
 from starcal_ros.recording import reader
 from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors

@@ -10,7 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages import cdr_pointcloud
-from starcal_ros.messages.cdr import IMU_TYPE, Messages, RecordError, decode_imu, encode_imu
+from starcal_ros.messages.cdr import Messages, RecordError
+from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu, encode_imu
 from starcal_ros.messages.cdr_pointcloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
                                                  with_numbers)
 

@@ -15,11 +15,11 @@ rclpy = pytest.importorskip('rclpy')
 from std_srvs.srv import Trigger  # noqa: E402
 
 from peer import PATIENCE_S, Peer  # noqa: E402
-from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
 from starcal_ros.cli import processes  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.core.units import ARCSEC, DEG  # noqa: E402
+from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.nodes import programs  # noqa: E402
 from starcal_ros.nodes.composed import NODES, node_class  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
@@ -54,7 +54,7 @@ def test_all_nodes_in_one_process_lose_nothing_as_fast_as_they_go(start, tmp_pat
     read = reader.read(recording)
     np.testing.assert_array_equal(read.gyro.rate, sensors.gyro(SCENARIO).next(6000).rate)
     assert len(read.frames) == 120
-    stream, _ = predicted_centroid.calibrate(read.gyro, read.frames, SCENARIO)
+    stream, _ = calibrate(read.gyro, read.frames, SCENARIO)
     assert processes.compare(recording, stream) < 1e-9
     counts = {topic.topic: topic.count for topic in reader.summary(recording).topics}
     assert (counts['/starcal/imu'], counts['/starcal/state']) == (6000, 120)

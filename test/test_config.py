@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from starcal_ros.config import models, parameter_file, shipped
+from starcal_ros.config import models, parameter_file
+from starcal_ros.config.instrument import CameraConfig, MotionConfig, MountingConfig
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.scenario import (CameraConfig, MotionConfig, MountingConfig, Scenario,
-                                         parameters, stamp_ns)
+from starcal_ros.config.scenario import Scenario, parameters, stamp_ns
+from starcal_ros.config.shipped import config_file
 from starcal_ros.config.truth import TrueCameraConfig
 from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC
@@ -22,7 +23,7 @@ HEAD = '/**:\n  ros__parameters:\n'
 
 @pytest.fixture(scope='module')
 def tan2018():
-    return parameter_file.load(shipped.config_file('tan2018.yaml'))
+    return parameter_file.load(config_file('tan2018.yaml'))
 
 
 def changed(tan2018):
@@ -63,7 +64,7 @@ def test_nominal_mounting_is_the_truth_turned_by_table_1s_fixed_angle_errors(tan
 
 def test_shipped_files_are_read_alike_by_ros(tan2018):
     """ROS 2 reads a bare y or n as a bool, PyYAML as a string: nowhere may one stand."""
-    for text in (shipped.config_file('tan2018.yaml').read_text(), parameter_file.dump(tan2018)):
+    for text in (config_file('tan2018.yaml').read_text(), parameter_file.dump(tan2018)):
         bare = [event.value for event in yaml.parse(text)
                 if isinstance(event, yaml.ScalarEvent) and event.style is None]
         assert '1024' in bare
@@ -74,7 +75,7 @@ def test_shipped_files_are_read_alike_by_ros(tan2018):
 def test_ros_reads_a_parameter_file(tan2018, tmp_path, shipped):
     rclpy = pytest.importorskip('rclpy')
     path = tmp_path / 'scenario.yaml'
-    path.write_text(shipped.config_file('tan2018.yaml').read_text() if shipped
+    path.write_text(config_file('tan2018.yaml').read_text() if shipped
                     else parameter_file.dump(changed(tan2018)))
     context = rclpy.Context()
     rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
@@ -231,7 +232,7 @@ def test_a_binary_file_is_named(tmp_path, content):
 
 def test_a_shipped_file_that_is_not_there_is_named():
     with pytest.raises(FileNotFoundError, match='^none.yaml is not beside '):
-        shipped.config_file('none.yaml')
+        config_file('none.yaml')
 
 
 # Time and mounting

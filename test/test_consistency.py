@@ -15,7 +15,8 @@ from starcal_ros.evaluation.batch import run_batch
 from starcal_ros.evaluation.bounds import cramer_rao
 from starcal_ros.filter.acquisition import AcquisitionError
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import CALIBRATED, EPSILON, UNIT, Filter
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import Places
 from starcal_ros.simulation import sensors

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from starcal_ros.config import models, parameter_file, shipped
+from starcal_ros.config import models, parameter_file
+from starcal_ros.config.instrument import ObserverConfig
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.scenario import ObserverConfig
+from starcal_ros.config.shipped import config_file
 from starcal_ros.config.truth import TrueObserverConfig
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
@@ -23,7 +24,7 @@ from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
 
-TAN2018 = parameter_file.load(shipped.config_file('tan2018.yaml'))
+TAN2018 = parameter_file.load(config_file('tan2018.yaml'))
 QUIET = TAN2018.replace({'truth.gyro.arw_deg_sqrt_h': 0.0,
                          'truth.star_tracker.centroid_sigma_px': 0.0})
 GYRO_ERRORS = {

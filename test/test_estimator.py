@@ -13,10 +13,11 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import from_flat
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import (CALIBRATED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE,
-                                            SIGMA_ACQUIRED, STATE_NAMES, STATE_UNITS, THETA, UNIT,
-                                            Belief, Filter, Nominal)
+from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
+from starcal_ros.filter.states import (CALIBRATED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE,
+                                       STATE_NAMES, STATE_UNITS, THETA, UNIT)
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import GyroSamples, Stars
 from starcal_ros.simulation import sensors

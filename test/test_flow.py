@@ -17,7 +17,7 @@ PUBLISHER = """
 import sys
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
-from starcal_ros.nodes.base.flow import FlowPublisher, when_subscribed
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, SimulatedClock
 from starcal_ros.nodes.base.run_loop import run
 
@@ -62,7 +62,7 @@ import sys
 import time
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
-from starcal_ros.nodes.base.flow import MatchedSubscription
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.base.run_loop import run
 
 

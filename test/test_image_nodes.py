@@ -24,7 +24,7 @@ from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.imaging.spot_meter import SpotMeter  # noqa: E402
 from starcal_ros.measurements.samples import Frames  # noqa: E402
-from starcal_ros.messages import cdr  # noqa: E402
+from starcal_ros.messages import cdr_imu  # noqa: E402
 from starcal_ros.messages.cdr import Messages  # noqa: E402
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image  # noqa: E402
 from starcal_ros.messages.cdr_pointcloud import decode_centroids, encode_centroids  # noqa: E402
@@ -227,7 +227,7 @@ def deliver(publisher, messages):
 
 def readings():
     """Return the gyro readings up to the turning frames and beyond."""
-    return [message.tobytes() for message in cdr.encode_imu(sensors.gyro(SCENARIO).next(600))]
+    return [message.tobytes() for message in cdr_imu.encode_imu(sensors.gyro(SCENARIO).next(600))]
 
 
 def test_readings_that_wait_are_used_though_their_publisher_is_gone(identifier, peer):

@@ -6,7 +6,8 @@ import ast
 from pathlib import Path
 import re
 
-from starcal_ros.config import scenario
+from starcal_ros.config.scenario import parameters
+from starcal_ros.messages.topics import TOPICS
 
 TOP = Path(__file__).parents[1]
 NODES = TOP / 'starcal_ros' / 'nodes'
@@ -24,19 +25,17 @@ def test_every_parameter_that_is_named_exists():
     assert len(named) > 10
     for name in named:
         assert any(key == name or name.endswith('.') and key.startswith(name)
-                   for key in scenario.parameters()), name
+                   for key in parameters()), name
 
 
 def test_every_parameter_that_may_change_is_named():
-    for key, parameter in scenario.parameters().items():
+    for key, parameter in parameters().items():
         if parameter.spec.changeable:
             assert f'`{key}`' in TEXT or f'`{key.rpartition(".")[0]}.*`' in TEXT, key
 
 
 def test_every_topic_and_service_is_named():
-    tree = ast.parse((NODES / 'base' / 'topics.py').read_text())
-    topics = {node.args[0].value for node in ast.walk(tree)
-              if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'Topic'}
+    topics = {topic.name for topic in TOPICS}
     assert len(topics) >= 14
     for topic in topics:
         assert f'`{topic}`' in TEXT, topic

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros.calibration.camera_estimate import CameraEstimate, beginning
 from starcal_ros.calibration.methods import predicted_centroid
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
+from starcal_ros.config.models import nominal_camera
 from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
-from starcal_ros.filter.error_state import LENS, SCALE, Filter
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import LENS, SCALE
 from starcal_ros.recording import reader
 from starcal_ros.recording.reader import RecordError
 from starcal_ros.recording.writer import Writer, centroids_batch
@@ -82,11 +84,12 @@ def test_wrong_options_are_named(words, culprit, bag, capsys):
 
 def test_methods_begin_where_the_configuration_says():
     scenario = SCENARIO.replace({'intrinsics.estimate': ('f', 'k1')})
-    begun = beginning(scenario)
+    begun = nominal_camera(scenario)
     np.testing.assert_array_equal(np.array(INTRINSICS)[begun.sigma > 0.0], ['f', 'k1'])
     assert begun.sigma[2] == pytest.approx(scenario.estimator.initial_sigma.focal_length_mm)
     assert begun.intrinsics[2] == scenario.camera.focal_length_mm
-    np.testing.assert_allclose(beginning(SCENARIO).sigma, Filter(SCENARIO).initial_sigma[LENS])
+    np.testing.assert_allclose(nominal_camera(SCENARIO).sigma,
+                               Filter(SCENARIO).initial_sigma[LENS])
 
 
 def test_filter_begins_with_what_is_known_of_the_camera():

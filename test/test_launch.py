@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from starcal_ros.config import scenario
+from starcal_ros.config.scenario import parameters
 
 TOP = Path(__file__).parents[1]
 FILES = sorted((TOP / 'launch').glob('*.launch.py'))
@@ -93,7 +93,7 @@ def test_nodes_are_executables_in_the_namespace(entities):
 
 
 def test_parameters_are_declared_ones_of_their_types(entities):
-    known = scenario.parameters()
+    known = parameters()
     for node in of(entities, 'Node'):
         file, *given = node.kwargs['parameters']
         assert file.args == ('config',)

@@ -20,8 +20,8 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 import yaml  # noqa: E402
 
 from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
-from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
@@ -146,7 +146,7 @@ def test_recorder_has_both_parts_and_the_nine_qos_policies_of_the_sensor(
 
 def test_offline_calibration_of_the_recording_gives_the_same_numbers(process, peer, output):
     recording = reader.read(output)
-    stream, _ = predicted_centroid.calibrate(recording.gyro, recording.frames, SCENARIO)
+    stream, _ = calibrate(recording.gyro, recording.frames, SCENARIO)
     np.testing.assert_array_equal(
         peer.states[-1].data, conventions.state_vector(stream.stamp_ns, stream.belief))
 

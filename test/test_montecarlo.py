@@ -15,7 +15,7 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs, run_batch
 from starcal_ros.evaluation.montecarlo import BATCH, Study
-from starcal_ros.filter.error_state import STATE_NAMES
+from starcal_ros.filter.states import STATE_NAMES
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 20.0})

@@ -24,11 +24,11 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 import yaml  # noqa: E402
 
 from peer import PATIENCE_S  # noqa: E402
-from starcal_ros.calibration.methods import predicted_centroid  # noqa: E402
 from starcal_ros.cli import processes  # noqa: E402
 from starcal_ros.config import parameter_file, scenario  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR  # noqa: E402
+from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
@@ -55,7 +55,7 @@ def recorded(live):
 
 @pytest.fixture(scope='module')
 def offline(recorded):
-    stream, _ = predicted_centroid.calibrate(recorded.gyro, recorded.frames, SCENARIO)
+    stream, _ = calibrate(recorded.gyro, recorded.frames, SCENARIO)
     return stream
 
 

@@ -26,7 +26,8 @@ from starcal_ros.simulation.render import Renderer
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
 from starcal_ros.sky.refraction import Site, altitude, refracted
-from starcal_ros.workflows.still_images import calibration, folder as star_folder
+from starcal_ros.workflows.still_images import (calibration, folder as star_folder, opencv_camera,
+                                                table)
 
 pytest.importorskip('tetra3rs')
 
@@ -34,7 +35,8 @@ SKY = Path(__file__).parents[2] / 'shared' / 'data' / 'real_sky'
 EPOCH = '2026-03-05T22:10:00'
 SITE = Site(47.0, 8.5, 500.0, 950.0, 5.0)
 PIXELS = Detector(640, 480, calibration.PITCH_MM)
-TRUE = dict(zip(calibration.KEYS, (2431.0, 327.0, 231.5, -0.12, 0.4, -6e-4, 9e-4)))   # 15 deg across
+TRUE = dict(zip(opencv_camera.KEYS, (2431.0, 327.0, 231.5, -0.12, 0.4, -6e-4, 9e-4)))
+"""15 deg across."""
 FOV = '15.5'
 
 
@@ -83,7 +85,7 @@ def save(path, counts, date_obs=None):
 
 
 def errors(result):
-    return np.array([result[key] - TRUE[key] for key in calibration.KEYS])
+    return np.array([result[key] - TRUE[key] for key in opencv_camera.KEYS])
 
 
 @pytest.fixture(scope='module')
@@ -101,7 +103,7 @@ def test_rendered_images_give_the_true_camera(folder, tmp_path, capsys):
     assert main(['intrinsics', str(folder), '--fov', FOV, '--heldout', '4', '--epoch', EPOCH,
                  '--out', str(out), '--report', str(page), '--stars', str(table)]) == 0
     result = json.loads(out.read_text())
-    error, sigma = errors(result), np.array([result['sigma'][key] for key in calibration.KEYS])
+    error, sigma = errors(result), np.array([result['sigma'][key] for key in opencv_camera.KEYS])
     assert (np.abs(error) < 4.0 * sigma).all()
     assert error @ np.linalg.solve(result['covariance'], error) < chi2.ppf(0.9999, 7)
     assert sigma[0] < 0.2
@@ -140,7 +142,7 @@ def test_mirrored_images_are_flipped_and_an_odd_one_is_left_out(folder, tmp_path
                  str(page)]) == 0
     result, said = json.loads(out.read_text()), capsys.readouterr().err
     assert result['flipped'] and 'were flipped, top to bottom' in said
-    error, sigma = errors(result), np.array([result['sigma'][key] for key in calibration.KEYS])
+    error, sigma = errors(result), np.array([result['sigma'][key] for key in opencv_camera.KEYS])
     assert (np.abs(error) < 4.0 * sigma).all()
     assert list(result['left_out']) == ['05.png', 'dark.png', 'text.png']
     assert 'without a mirror' in result['left_out']['05.png']
@@ -172,7 +174,7 @@ def test_refraction_biases_a_camera_that_does_not_know_of_it(tmp_path, capsys):
     without, corrected = results
     assert abs(errors(without)[0]) > 4.0 * without['sigma']['f_px']
     assert abs(errors(without)[0]) > 1.0
-    sigma = np.array([corrected['sigma'][key] for key in calibration.KEYS])
+    sigma = np.array([corrected['sigma'][key] for key in opencv_camera.KEYS])
     assert (np.abs(errors(corrected)) < 4.0 * sigma).all() and sigma[0] < 0.3
     assert corrected['fit_rms_px'] < 0.5 * without['fit_rms_px']
     assert corrected['air']['pressure_hpa'] == 950.0
@@ -249,7 +251,7 @@ def test_real_images_give_the_camera_that_others_found(name, fov, limit, referen
                  str(out)]) == 0
     result = json.loads(out.read_text())
     assert result['heldout_rms_px'] < limit and result['left_out'] == {}
-    for key, value in zip(calibration.KEYS, reference):
+    for key, value in zip(opencv_camera.KEYS, reference):
         assert abs(result[key] - value) < 4.0 * result['sigma'][key], key
     with (SKY / name / 'stars.csv').open() as stream:
         others = len(list(csv.DictReader(stream)))
@@ -257,8 +259,8 @@ def test_real_images_give_the_camera_that_others_found(name, fov, limit, referen
 
 
 def test_images_at_the_same_time_keep_an_order():
-    found = calibration.plates(list('abc'), [np.ones((1, 2))] * 3, [np.ones(1)] * 3,
-                               [False, True, False], EPOCH, stamp_ns=[200, 100, 200])
+    found = table.assemble(list('abc'), [np.ones((1, 2))] * 3, [np.ones(1)] * 3,
+                           [False, True, False], EPOCH, stamp_ns=[200, 100, 200])
     assert found.names == ('b', 'a', 'c') and found.heldout.tolist() == [True, False, False]
     assert found.frames.stamp_ns.tolist() == [100, 200, 201]
 
@@ -268,7 +270,7 @@ def test_a_table_of_stars_is_that_of_the_images(folder, tmp_path):
         shutil.copy(folder / name, tmp_path / name)
     found = star_folder.read(tmp_path, float(FOV), EPOCH)
     star_folder.write_table(tmp_path / 's.csv', found.images, [False, True])
-    read = calibration.read_centroids(tmp_path / 's.csv', EPOCH)
+    read = table.read_centroids(tmp_path / 's.csv', EPOCH)
     assert read.names == ('00.fits', '01.png') and read.heldout.tolist() == [False, True]
     np.testing.assert_allclose(read.frames.sigma, np.concatenate(
         [image.sigma for image in found.images]), atol=1e-5)

@@ -12,21 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from starcal_ros.calibration.camera_estimate import CameraEstimate
 from starcal_ros.cli import main
 from starcal_ros.config.models import detector
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core import camera, rotation
+from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.messages.conventions import from_camera_info
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
-from starcal_ros.workflows.still_images import calibration
+from starcal_ros.workflows.still_images import calibration, opencv_camera, table
 
 SKY = Path(__file__).parents[2] / 'shared' / 'data' / 'real_sky'
 EPOCH = '2018-01-01T00:00:00'
 WIDTH, HEIGHT = 1280, 960
-TRUE = dict(zip(calibration.KEYS, (2657.9, 657.2, 431.2, -0.032, 0.6, -7e-4, -1.1e-3)))
+TRUE = dict(zip(opencv_camera.KEYS, (2657.9, 657.2, 431.2, -0.032, 0.6, -7e-4, -1.1e-3)))
 SCENARIO = calibration.scenario_of(WIDTH, HEIGHT, 2600.0, 'bundle')
 PIXELS = detector(SCENARIO.camera)
 
@@ -65,14 +65,15 @@ def write(path, images, sigma=0.1, seed=1, held=(), wrong=0.0):
 def found(tmp_path_factory):
     """Return what the bundle makes of twelve images, two held out."""
     path = write(tmp_path_factory.mktemp('plates') / 'stars.csv', 12, held=(3, 7))
-    images = calibration.read_centroids(path, EPOCH)
+    images = table.read_centroids(path, EPOCH)
     f_px = calibration.focal_length_px(images, WIDTH, HEIGHT)
     assert f_px == pytest.approx(TRUE['f_px'], rel=0.05)
-    return calibration.calibrate(images, calibration.scenario_of(WIDTH, HEIGHT, f_px, 'bundle')).as_dict()
+    scenario = calibration.scenario_of(WIDTH, HEIGHT, f_px, 'bundle')
+    return calibration.calibrate(images, scenario).as_dict()
 
 
 def test_the_true_camera_is_found_within_its_sigma(found):
-    error = np.array([found[key] - TRUE[key] for key in calibration.KEYS])
+    error = np.array([found[key] - TRUE[key] for key in opencv_camera.KEYS])
     covariance = np.array(found['covariance'])
     assert error @ np.linalg.solve(covariance, error) < 24.3        # 0.999 of chi-square, 7
     assert np.sqrt(np.diag(covariance)) == pytest.approx(list(found['sigma'].values()))
@@ -94,11 +95,11 @@ def test_methods_without_an_attitude_take_a_table_as_a_spreadsheet_writes_it(
 
 @pytest.mark.parametrize('method', ['bundle', 'angular_distance', 'singular_value', 'interstar'])
 def test_a_fifth_of_wrong_numbers_is_let_go(method, tmp_path):
-    images = calibration.read_centroids(write(tmp_path / 'stars.csv', 12, wrong=0.2), EPOCH)
+    images = table.read_centroids(write(tmp_path / 'stars.csv', 12, wrong=0.2), EPOCH)
     f_px = calibration.focal_length_px(images, WIDTH, HEIGHT)
     found = calibration.calibrate(images, calibration.scenario_of(
         WIDTH, HEIGHT, f_px, method)).as_dict()
-    error = np.array([found[key] - TRUE[key] for key in calibration.KEYS])
+    error = np.array([found[key] - TRUE[key] for key in opencv_camera.KEYS])
     assert error @ np.linalg.solve(np.array(found['covariance']), error) < 24.3
     assert found['counts']['images'] == 12
 
@@ -127,19 +128,22 @@ def test_covariance_goes_over_to_opencv_as_differences_say():
     rng = np.random.default_rng(2)
     values = intrinsics(**TRUE)
     root = rng.standard_normal((7, 7)) * [0.1, 0.1, 1e-3, 1e-6, 1e-8, 1e-6, 1e-6]
-    _, covariance = calibration.opencv(CameraEstimate(values, root.T @ root, 1, 1), SCENARIO)
+    _, covariance = opencv_camera.from_estimate(
+        CameraEstimate(values, root.T @ root, 1, 1), SCENARIO)
     step = np.array([1e-3, 1e-3, 1e-4, 1e-7, 1e-9, 1e-7, 1e-7])
-    J = np.stack([
-        (calibration.opencv(CameraEstimate(values + h * e, np.eye(7), 1, 1), SCENARIO)[0]
-         - calibration.opencv(CameraEstimate(values - h * e, np.eye(7), 1, 1), SCENARIO)[0]) / (2 * h)
-        for h, e in zip(step, np.eye(7))], axis=1)
+
+    def converted(x):
+        return opencv_camera.from_estimate(CameraEstimate(x, np.eye(7), 1, 1), SCENARIO)[0]
+
+    J = np.stack([(converted(values + h * e) - converted(values - h * e)) / (2 * h)
+                  for h, e in zip(step, np.eye(7))], axis=1)
     expected = J @ root.T @ root @ J.T
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(covariance / scale, expected / scale, atol=1e-6)
 
 
 def test_keys_are_opencvs(found):
-    assert intrinsics(**{key: found[key] for key in calibration.KEYS})[2] == pytest.approx(
+    assert intrinsics(**{key: found[key] for key in opencv_camera.KEYS})[2] == pytest.approx(
         found['f_px'] * calibration.PITCH_MM)
     uv = np.array([[300.0, -200.0]])
     r_s = camera.unproject(uv, intrinsics(**TRUE), PIXELS.pitch_mm)[0]
@@ -170,7 +174,7 @@ def test_real_sky(name, width, height, limit, reference, tmp_path, capsys):
                  str(height), '--out', str(out)]) == 0
     camera_ = json.loads(out.read_text())
     assert camera_['heldout_rms_px'] <= limit and camera_['fit_rms_px'] < 0.15
-    for key, value in zip(calibration.KEYS, reference):
+    for key, value in zip(opencv_camera.KEYS, reference):
         assert abs(camera_[key] - value) < 4.0 * camera_['sigma'][key], key
     assert 'held-out' in capsys.readouterr().out
 
@@ -185,7 +189,7 @@ def test_wrong_tables_are_named(text, culprit, tmp_path):
     path = tmp_path / 'stars.csv'
     path.write_text(text)
     with pytest.raises(ConfigError, match=culprit):
-        calibration.read_centroids(path, EPOCH)
+        table.read_centroids(path, EPOCH)
 
 
 @pytest.mark.parametrize('words, status, culprit', [

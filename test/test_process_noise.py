@@ -10,13 +10,14 @@ import pytest
 from scipy.stats import chi2
 
 from starcal_ros.config import parameter_file
-from starcal_ros.config.scenario import ProcessNoiseConfig
+from starcal_ros.config.estimator import ProcessNoiseConfig
 from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
 from starcal_ros.filter import process_noise
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import (EPSILON, LENS, N_STATES, PSI, SCALE, STATE_NAMES,
-                                            THETA, Belief, Filter, Nominal)
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import EPSILON, LENS, N_STATES, PSI, SCALE, STATE_NAMES, THETA
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors

@@ -10,8 +10,8 @@ import shlex
 import pytest
 
 from starcal_ros import cli
-from starcal_ros.config import scenario
 from starcal_ros.config.parameter import Parameter
+from starcal_ros.config.scenario import parameters
 
 TOP = Path(__file__).parents[1]
 PAGES = {str(path.relative_to(TOP)): path.read_text()
@@ -48,7 +48,7 @@ def test_ros2_run_finds_the_executable_and_its_parameters(words):
     for option, word in pairwise(rest):
         if option == '-p':
             key, value = word.split(':=')
-            parameter: Parameter = scenario.parameters()[key]
+            parameter: Parameter = parameters()[key]
             parameter.convert(key, parameter.element(value))
         assert not word.startswith('config/') or (TOP / word).is_file()
 

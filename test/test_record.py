@@ -15,11 +15,12 @@ from rosbags import rosbag2
 import yaml
 
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.messages.cdr import IMU_TYPE, encode_imu
+from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
+from starcal_ros.recording.qos import LATCHED, Qos
 from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, RecordError, read, summary
-from starcal_ros.recording.writer import (LATCHED, Batch, Qos, Writer, centroids_batch, imu_batch,
-                                          serialize, typestore)
+from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
+                                          typestore)
 
 EXTERNAL = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'external_tan2018'
 START_NS = 1_782_993_600_000_000_000

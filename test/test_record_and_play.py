@@ -14,11 +14,12 @@ rclpy = pytest.importorskip('rclpy')
 from rclpy.parameter import Parameter  # noqa: E402
 
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
-from starcal_ros.messages.cdr import encode_imu  # noqa: E402
+from starcal_ros.messages.cdr_imu import encode_imu  # noqa: E402
 from starcal_ros.nodes.recorder import Recorder  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.bag import open_bag  # noqa: E402
-from starcal_ros.recording.writer import LATCHED, Writer  # noqa: E402
+from starcal_ros.recording.qos import LATCHED  # noqa: E402
+from starcal_ros.recording.writer import Writer  # noqa: E402
 
 START_NS, N_GYRO, N_FRAMES = 1_782_993_600_000_000_000, 3000, 60
 EMPTY_ARRAY = b'\0\1\0\0' + bytes(12)       # a Float64MultiArray in CDR

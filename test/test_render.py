@@ -9,7 +9,8 @@ import pytest
 from scipy.special import erf
 
 from starcal_ros.config.image import CentroidConfig, ImageConfig
-from starcal_ros.config.scenario import Scenario, StarTrackerConfig
+from starcal_ros.config.instrument import StarTrackerConfig
+from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.truth import TrueStarTrackerConfig
 from starcal_ros.core import psf
 from starcal_ros.core.camera import Detector

@@ -15,13 +15,13 @@ import pytest
 from scipy.stats import norm
 
 from starcal_ros import report
-from starcal_ros.calibration.methods.predicted_centroid import Residuals, calibrate
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
 from starcal_ros.core import camera
 from starcal_ros.core.camera import Detector
 from starcal_ros.filter import verdict
-from starcal_ros.filter.error_state import STATE_NAMES
+from starcal_ros.filter.offline import Residuals, calibrate
+from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.recording import reader
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.simulation import sensors

@@ -16,7 +16,8 @@ from starcal_ros import cli, report
 from starcal_ros.config import parameter_file
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.evaluation import batch, bounds, montecarlo
-from starcal_ros.filter.error_state import CALIBRATED, PSI, STATE_NAMES, UNIT, Filter
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import CALIBRATED, PSI, STATE_NAMES, UNIT
 from starcal_ros.reproduction import published, real_images, traces
 from starcal_ros.reproduction.published import open_loop, table4
 from starcal_ros.simulation.truth import Truth

@@ -10,7 +10,8 @@ import pytest
 
 from starcal_ros.config import parameter_file
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, PSI, SIGMA_ACQUIRED, Filter
+from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
+from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI
 from starcal_ros.results import initial, result
 from starcal_ros.results.store import Archive
 from starcal_ros.simulation import sensors

@@ -11,7 +11,7 @@ import pytest
 from starcal_ros.config import parameter_file
 from starcal_ros.core import rotation
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import CALIBRATED, PHI, UNIT
+from starcal_ros.filter.states import CALIBRATED, PHI, UNIT
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import CalibrationError, converged, result, write_json
 from starcal_ros.simulation import sensors

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from starcal_ros.core import camera, rotation
-from starcal_ros.filter import error_state
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.messages import conventions
 from starcal_ros.messages.conventions import C_os
 
@@ -42,9 +42,9 @@ def C_sg():
 def belief(C_sg):
     """Return a belief with a covariance that has all its correlations."""
     root = np.random.default_rng(2).normal(size=(16, 16))
-    nominal = error_state.Nominal(rotation.exp(np.array([1.0, 0.5, -0.2])),
-                                  np.array([1e-8, 2e-8, -3e-8]), C_sg, INTRINSICS)
-    return error_state.Belief(nominal, np.zeros(16), root)
+    nominal = Nominal(rotation.exp(np.array([1.0, 0.5, -0.2])),
+                      np.array([1e-8, 2e-8, -3e-8]), C_sg, INTRINSICS)
+    return Belief(nominal, np.zeros(16), root)
 
 
 def test_s_and_o_differ_by_half_a_turn_about_the_boresight():
@@ -145,5 +145,5 @@ def test_state_vector_gives_the_estimate_and_not_the_nominal_values(belief):
     """An open-loop filter keeps the nominal values and expects an error of them."""
     error = np.zeros(16)
     error[3], error[9] = 2e-9, 0.25
-    data = conventions.state_vector(0, error_state.Belief(belief.nominal, error, belief.root))
+    data = conventions.state_vector(0, Belief(belief.nominal, error, belief.root))
     np.testing.assert_allclose(data[[4, 10]], [1e-8 - 2e-9, 5.0 - 0.25], rtol=1e-15)

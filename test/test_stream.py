@@ -14,7 +14,7 @@ from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, PHI, PSI
+from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PHI, PSI
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors

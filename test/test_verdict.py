@@ -8,14 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from starcal_ros.calibration.methods.predicted_centroid import calibrate
 from starcal_ros.config import parameter_file
 from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import verdict
+from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import (CALIBRATED, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
-                                            STATE_UNITS, THETA, UNIT, Belief, Filter)
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.offline import calibrate
+from starcal_ros.filter.states import (CALIBRATED, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
+                                       STATE_UNITS, THETA, UNIT)
 from starcal_ros.results.result import converged
 from starcal_ros.simulation import sensors
 

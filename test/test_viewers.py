@@ -14,11 +14,10 @@ import yaml
 
 from starcal_ros.config import parameter_file
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import N_STATES, STATE_NAMES
+from starcal_ros.filter.states import N_STATES, STATE_NAMES
+from starcal_ros.messages import topics
 from starcal_ros.messages.conventions import GYRO_FRAME, STATE_LAYOUT
 from starcal_ros.recording.writer import typestore
-
-topics = pytest.importorskip('starcal_ros.nodes.base.topics', exc_type=ImportError)
 
 TOP = Path(__file__).parents[1]
 VIEWERS = TOP / 'config' / 'viewers'

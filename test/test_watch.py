@@ -17,10 +17,10 @@ import pytest
 from rich.console import Console
 
 from starcal_ros import cli
-from starcal_ros.calibration.methods import predicted_centroid
 from starcal_ros.cli import processes
 from starcal_ros.config import parameter_file
-from starcal_ros.filter.error_state import N_STATES, STATE_NAMES
+from starcal_ros.filter.offline import calibrate
+from starcal_ros.filter.states import N_STATES, STATE_NAMES
 from starcal_ros.messages import conventions
 from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
@@ -157,7 +157,7 @@ def shown(tmp_path_factory):
 
 def test_late_watch_shows_the_states_of_the_estimator(shown):
     gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
-    stream, _ = predicted_centroid.calibrate(
+    stream, _ = calibrate(
         gyro.next(gyro.count), tracker.next(tracker.count), SCENARIO)
     offline = text(Seen(conventions.state_vector(stream.stamp_ns, stream.belief),
                         level=0, silent_s=0.0))

@@ -14,9 +14,10 @@ from importlib import import_module
 import pkgutil
 
 from starcal_ros.calibration import methods
-from starcal_ros.calibration.camera_estimate import CameraEstimate, CameraMethod
+from starcal_ros.calibration.method import CameraMethod
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.camera_estimate import CameraEstimate
 
 
 def names() -> list[str]:

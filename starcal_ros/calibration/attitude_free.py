@@ -19,21 +19,19 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration import invariants
-from starcal_ros.calibration.camera_estimate import CameraEstimate, beginning
 from starcal_ros.calibration.invariants import Frame, Information, Lens
+from starcal_ros.config.models import nominal_camera
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, kalman
+from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.consensus import OUT_OF_PLACE, consensus
 from starcal_ros.core.units import NS
-from starcal_ros.filter.acquisition import OUT_OF_PLACE, consensus
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import Places
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 Measurement = Callable[[Frame], Information]
 """What a method takes from a frame."""
@@ -207,7 +205,7 @@ class AttitudeFree:
 
     def __init__(self, scenario: Scenario, measure: Measurement, min_stars: int,
                  known: CameraEstimate | None = None) -> None:
-        options, begun = Filter(scenario), beginning(scenario, known)
+        options, begun = Filter(scenario), nominal_camera(scenario, known)
         pitch_mm = options.detector.pitch_mm
         self._lens = Lens(partial(camera.unproject, pitch_mm=pitch_mm, steps=0),
                           partial(camera.linearize, pitch_mm=pitch_mm))

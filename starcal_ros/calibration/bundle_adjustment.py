@@ -28,18 +28,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from starcal_ros.core import camera, rotation
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import ARCSEC
-from starcal_ros.filter.error_state import LENS, SCALE
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from starcal_ros.filter.states import LENS, SCALE
 
 MIN_STARS = 2
 """Spots that a frame must have: two fix its attitude."""

@@ -5,16 +5,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Spots
 from starcal_ros.core import rotation
-from starcal_ros.filter.acquisition import OUT_OF_PLACE, consensus
+from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.consensus import OUT_OF_PLACE, consensus
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import Placed
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def identified(frames: Frames, placed: Placed) -> Spots:

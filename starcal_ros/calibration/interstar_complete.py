@@ -15,11 +15,9 @@ with the spots' products with themselves still to be taken off: the scalar produ
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration.interstar_equations import Sight, joined
-
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
 
 
 def normal_equations(sight: Sight, moved: Array, cosines: Array | None = None

@@ -54,12 +54,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import camera
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from starcal_ros.core.arrays import Array, Mask
 
 CONVERGED = 1e-8        # step, in parts of the largest, with which an iteration ends
 _BEND_PX = 0.01         # step of a numeric derivative, whose error is its square over f

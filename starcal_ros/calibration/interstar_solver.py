@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.calibration import interstar_equations as interstar
+from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.camera import Detector
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Look = Callable[[Array], interstar.Sight]
 Frame = tuple[Array, Array, NDArray[Any]]
 

@@ -43,12 +43,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.measurements.samples import Stars
-
-Array = NDArray[np.float64]
 
 
 class Lens(NamedTuple):

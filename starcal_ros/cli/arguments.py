@@ -7,9 +7,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from starcal_ros.config import parameter_file, shipped
+from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.config.shipped import config_file
 
 
 def add_bag(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +41,7 @@ def scenario(options: argparse.Namespace, **values: object) -> Scenario:
     values
         Parameters of the group ``simulation``, by name.
     """
-    path = options.config or shipped.config_file('tan2018.yaml')
+    path = options.config or config_file('tan2018.yaml')
     given = {key: value for key, value in values.items() if value is not None}
     return parameter_file.load(path).replace(
         {f'simulation.{key}': value for key, value in given.items()})

@@ -50,8 +50,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
                         page: Path | None, folder: Path | None = None) -> Stream:
     """Calibrate a recording, write the result, print its table and return the final state."""
     from starcal_ros import report
-    from starcal_ros.calibration.methods import predicted_centroid
     from starcal_ros.filter import verdict
+    from starcal_ros.filter.offline import calibrate
     from starcal_ros.recording import reader
     from starcal_ros.results import export, initial, result
     from starcal_ros.results.store import Archive
@@ -69,7 +69,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         say(f'warning: {text}')
     start = initial.start(scenario, Archive(Path(scenario.estimator.calibration_directory)))
     with progress('calibrating') as on_progress:
-        stream, history = predicted_centroid.calibrate(
+        stream, history = calibrate(
             recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
     notices = [*recording.warnings, *start.notices, *stream.take_notices()]
     for text in notices:

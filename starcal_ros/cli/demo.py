@@ -47,5 +47,6 @@ def run(options: argparse.Namespace) -> int:
     difference = processes.compare(recording, stream)
     show(f'Live estimator and offline calibration differ by at most {difference:.1e} of the '
          'values.')
-    show(f'In {folder}/: {processes.RECORDING}, {processes.RESULT}, {processes.FIGURE}, {processes.REPORT}')
+    show(f'In {folder}/: {processes.RECORDING}, {processes.RESULT}, {processes.FIGURE}, '
+         f'{processes.REPORT}')
     return 0 if difference < SAME else 1

@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros.config import parameter_file, shipped
+from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.config.shipped import config_file
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import N_STATES
+from starcal_ros.filter.states import N_STATES
 from starcal_ros.messages import conventions
 from starcal_ros.recording.bag import open_bag
 from starcal_ros.recording.writer import typestore
@@ -113,7 +114,7 @@ def isolated() -> dict[str, str]:
         variable = 'FASTRTPS_DEFAULT_PROFILES_FILE'
     return {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),   # above 101: Linux's ephemeral ports
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-            variable: str(shipped.config_file('fastdds_fast_discovery.xml'))}
+            variable: str(config_file('fastdds_fast_discovery.xml'))}
 
 
 def _follow(process: subprocess.Popen[str], on_progress: Callable[[float], None]) -> None:

@@ -99,7 +99,7 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
 
 
 class _Source(NamedTuple):
-    """Stars on plates, the size of these, where to begin, and what to add to the result."""
+    """Stars in images, the size of these, where to begin, and what to add to the result."""
 
     images: Any
     width: int
@@ -160,7 +160,7 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     if site is not None:
         outcome['air'] = {'site': [site.latitude_deg, site.longitude_deg, site.height_m],
                           **dict(zip(('pressure_hpa', 'temperature_c'), site.air))}
-    show(report.plates(outcome, f'Camera of {where}, {outcome["method"]}'))
+    show(report.still_images(outcome, f'Camera of {where}, {outcome["method"]}'))
     if options.report:
         from starcal_ros.report.plate_page import write_plate_page
         write_plate_page(options.report, found, outcome, notices)
@@ -168,13 +168,13 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_table(options: argparse.Namespace, site: Site | None) -> _Source:
-    from starcal_ros.workflows.still_images import calibration
+    from starcal_ros.workflows.still_images import calibration, opencv_camera, table
     if not (options.width and options.height):
         raise ConfigError('--centroids: needs --width and --height of the images')
     if site is not None and not options.epoch:
         raise ConfigError('--site: needs --epoch, the time of the images')
-    images = calibration.read_centroids(options.centroids, options.epoch or EPOCH)
-    f_px = (calibration.focal_length_of_field(options.fov, options.width) if options.fov
+    images = table.read_centroids(options.centroids, options.epoch or EPOCH)
+    f_px = (opencv_camera.focal_length_of_field(options.fov, options.width) if options.fov
             else calibration.focal_length_px(images, options.width, options.height))
     return _Source(images, options.width, options.height, f_px, {'left_out': {}, 'notices': []})
 
@@ -182,13 +182,13 @@ def _of_table(options: argparse.Namespace, site: Site | None) -> _Source:
 def _of_folder(options: argparse.Namespace, site: Site | None) -> _Source:
     from starcal_ros.results.result import CalibrationError
     from starcal_ros.sky.apparent import Observer
-    from starcal_ros.workflows.still_images import calibration, folder as plate_images
+    from starcal_ros.workflows.still_images import folder, table
     if options.stars:
         arguments.require_writable(Path(options.stars))
     velocity = 'geocentre' if options.aberration or site else 'barycentre'
     with progress('reading') as on_progress:
         try:
-            found = plate_images.read(
+            found = folder.read(
                 options.source, options.fov, options.epoch,
                 CentroidConfig(saturation_counts=options.saturation), Observer(velocity), site,
                 on_progress)
@@ -213,8 +213,8 @@ def _of_folder(options: argparse.Namespace, site: Site | None) -> _Source:
     every = options.heldout
     heldout = [bool(every) and k % every == every - 1 for k in range(len(images))]
     if options.stars:
-        plate_images.write_table(options.stars, images, heldout)
-    table = calibration.plates(
+        folder.write_table(options.stars, images, heldout)
+    stars = table.assemble(
         [image.name for image in images], [image.uv_raster for image in images],
         [image.catalog_id for image in images], heldout, options.epoch or EPOCH,
         [image.sigma for image in images], [image.stamp_ns for image in images])
@@ -224,7 +224,7 @@ def _of_folder(options: argparse.Namespace, site: Site | None) -> _Source:
                     'utc': _utc(image.stamp_ns)} for image, held in zip(images, heldout)],
         'left_out': left_out, 'flipped': found.flipped, 'width': found.width,
         'height': found.height, 'notices': notices}
-    return _Source(table, found.width, found.height, found.focal_length_px, told)
+    return _Source(stars, found.width, found.height, found.focal_length_px, told)
 
 
 def _utc(stamp: int | None) -> str | None:

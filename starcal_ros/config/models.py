@@ -1,21 +1,21 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""From parameters to the objects of the core: detector, intrinsics, mounting, observer."""
+"""From parameters to the objects of the core: detector, camera, mounting, observer."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
-from starcal_ros.config.scenario import CameraConfig, MountingConfig, ObserverConfig
+from starcal_ros.config.instrument import CameraConfig, MountingConfig, ObserverConfig
+from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.truth import TrueCameraConfig, TrueObserverConfig
 from starcal_ros.core import rotation
-from starcal_ros.core.camera import Detector
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera import INTRINSICS, Detector
+from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.sky.apparent import Observer
-
-Array = NDArray[np.float64]
 
 
 def detector(camera: CameraConfig) -> Detector:
@@ -47,3 +47,27 @@ def observer(config: ObserverConfig, instead: TrueObserverConfig | None = None) 
         value = getattr(instead, item.name, None)
         values[item.name] = getattr(config, item.name) if value is None else value
     return Observer(**values)
+
+
+def nominal_camera(scenario: Scenario, known: CameraEstimate | None = None) -> CameraEstimate:
+    """Return the camera that a method begins with: the nominal one and its initial sigmas.
+
+    What is `known` from other frames stands in its place. Intrinsics that ``intrinsics.estimate``
+    does not list are taken for certain.
+    """
+    if known is None:
+        sigma = scenario.estimator.initial_sigma
+        covariance = np.diag(np.square([
+            sigma.principal_point_px, sigma.principal_point_px, sigma.focal_length_mm, sigma.k1,
+            sigma.k2, sigma.p1, sigma.p2]))
+        known = CameraEstimate(intrinsics(scenario.camera), covariance, 0, 0)
+    free = np.isin(INTRINSICS, scenario.intrinsics.estimate)
+    covariance = np.where(np.outer(free, free), known.covariance, 0.0)
+    return dataclasses.replace(known, covariance=covariance)
+
+
+def with_camera(scenario: Scenario, values: Array) -> Scenario:
+    """Return a scenario with other intrinsics, (7,), as its nominal ones."""
+    u0, v0, f, *distortion = values.tolist()
+    return scenario.replace({'camera.principal_point_px': (u0, v0), 'camera.focal_length_mm': f,
+                             'camera.distortion': tuple(distortion)})

@@ -9,9 +9,10 @@ module of ``simulation/`` named with it says how.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
+from starcal_ros.config.instrument import MountingConfig
 from starcal_ros.config.parameter import Spec
 
 Floats = tuple[float, ...]
@@ -95,3 +96,15 @@ class TrueObserverConfig:
     argument_of_latitude_deg: Annotated[float | None, Spec(
         'Circular orbit: argument of latitude at the epoch', 'deg', -360.0, 360.0)] = None
     epoch_utc: Annotated[str | None, Spec('Circular orbit: epoch, ISO 8601')] = None
+
+
+@dataclass(frozen=True)
+class TruthConfig:
+    """What the simulators use in place of the nominal values, and the errors they add."""
+
+    camera: TrueCameraConfig = field(default_factory=TrueCameraConfig)
+    mounting: MountingConfig = field(default_factory=MountingConfig)
+    mounting_drift: MountingDriftConfig = field(default_factory=MountingDriftConfig)
+    gyro: TrueGyroConfig = field(default_factory=TrueGyroConfig)
+    star_tracker: TrueStarTrackerConfig = field(default_factory=TrueStarTrackerConfig)
+    observer: TrueObserverConfig = field(default_factory=TrueObserverConfig)

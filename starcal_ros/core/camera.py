@@ -25,9 +25,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array, Mask
 
 INTRINSICS = ('u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
 INTRINSICS_KEYS = ('u0_px', 'v0_px', 'f_mm', 'k1', 'k2', 'p1', 'p2')
@@ -50,7 +49,7 @@ class Detector:
         """Centre of the detector in raster pixels, (2,); (0, 0) is the top-left pixel's centre."""
         return np.array([(self.width - 1) / 2.0, (self.height - 1) / 2.0])
 
-    def contains(self, uv: Array) -> NDArray[np.bool_]:
+    def contains(self, uv: Array) -> Mask:
         """Tell which points (..., 2), from the centre of the detector [px], lie on it."""
         inside = np.abs(uv) <= np.array([self.width, self.height]) / 2.0
         return inside[..., 0] & inside[..., 1]

@@ -21,10 +21,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from starcal_ros.core.arrays import Array, Mask
 
 
 class Innovation(NamedTuple):

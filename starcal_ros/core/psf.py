@@ -21,10 +21,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
 
 
 def profile(edges: Array, sigma: Array | float) -> Array:

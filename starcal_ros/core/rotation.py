@@ -13,9 +13,8 @@ axes, which the filter's inner loop can not afford.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
 
 _GENERATORS: Array = np.zeros((3, 3, 3))
 _GENERATORS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0

@@ -14,15 +14,17 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.filter.acquisition import acquire
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import REPROJECTION_S
-from starcal_ros.filter.error_state import PHI, Belief, Filter, Nominal, Update
+from starcal_ros.filter.error_state import Filter, Update
+from starcal_ros.filter.states import PHI
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import SIGMA_PX
@@ -31,8 +33,6 @@ from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
-
-Array = NDArray[np.float64]
 
 RECORD_S = 60.0         # between the errors that are kept, at most a twentieth of the run
 _CHUNK = 500            # frames simulated at once
@@ -62,7 +62,7 @@ class Runs:
         RMS of measured minus predicted centroids over the last ten minutes [px].
     """
 
-    seed: NDArray[np.int64]
+    seed: Ints
     time: Array
     error: Array
     sigma: Array
@@ -186,7 +186,7 @@ class _Gyro:
         self._simulator = simulator
         self._kept = GyroSamples.empty()
 
-    def preintegrate(self, cuts_ns: NDArray[np.int64], filter_: Filter, rate_hz: float
+    def preintegrate(self, cuts_ns: Ints, filter_: Filter, rate_hz: float
                      ) -> Preintegrated:
         missing = cuts_ns[-1] - self._simulator.stamp_ns(self._simulator.next_index - 1)
         count = max(int(np.ceil(missing * NS * rate_hz - 1e-6)), 0 if len(self._kept) else 1)
@@ -198,7 +198,7 @@ class _Gyro:
 
 
 def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
-            ) -> tuple[Stars, NDArray[np.int64]]:
+            ) -> tuple[Stars, Ints]:
     """Return the stars of all runs, (runs, frames, n, ...), and how many each frame has at most.
 
     Places that a frame does not fill have an infinite sigma.

@@ -22,15 +22,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
-from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, N_STATES, PHI, SCALE, Filter
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, N_STATES, PHI, SCALE
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import SIGMA_PX
 from starcal_ros.simulation import sensors
@@ -38,8 +39,6 @@ from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
-
-Array = NDArray[np.float64]
 
 _BATCH = 500            # frames taken at once
 _STEP_S = 0.02          # of the quadrature of C_ig; a slew turns by 0.01 deg in it
@@ -178,7 +177,7 @@ def _slopes(r_s: Array, truth: Truth) -> tuple[Array, Array]:
     return H_s, H_lens
 
 
-def _blocks(blocks: Array, row: NDArray[np.int64], column: NDArray[np.int64], width: int
+def _blocks(blocks: Array, row: Ints, column: Ints, width: int
             ) -> sparse.csc_array:
     """Return a square matrix with (n, r, c) blocks at their rows and columns."""
     rows = row[:, None, None] + np.arange(blocks.shape[1])[:, None]
@@ -187,7 +186,7 @@ def _blocks(blocks: Array, row: NDArray[np.int64], column: NDArray[np.int64], wi
     return sparse.csc_array((blocks.ravel(), (rows, columns)), (width, width))
 
 
-def turned(motion: Motion, stamps_ns: NDArray[np.int64]) -> Array:
+def turned(motion: Motion, stamps_ns: Ints) -> Array:
     """Return the integrals of C_ig from each stamp to the next, (n - 1, 3, 3) [s]; Simpson."""
     dt = np.diff(stamps_ns)
     half = max(1, int(np.ceil(dt.max() * NS / _STEP_S / 2.0)))

@@ -16,16 +16,14 @@ from typing import NamedTuple
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.rotation import to_matrix
 from starcal_ros.identification.identifier import Identification
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
-
-Array = NDArray[np.float64]
 
 FLUX_SIGMA_MAG = 0.15
 """Scatter of a spot's brightness about the catalogue's: colours, noise [mag]."""
@@ -37,7 +35,7 @@ class Sight(NamedTuple):
     stamp_ns: int
     uv_raster: Array
     flux: Array
-    hip: NDArray[np.int64]
+    hip: Ints
     C_si: Array
 
 

@@ -23,11 +23,10 @@ from numpy.typing import NDArray
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, parameters
+from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import bounds, consistency
 from starcal_ros.evaluation.batch import Runs, run_batch
-from starcal_ros.filter.error_state import N_STATES, STATE_NAMES, STATE_UNITS, UNIT
-
-Array = NDArray[np.float64]
+from starcal_ros.filter.states import N_STATES, STATE_NAMES, STATE_UNITS, UNIT
 
 BATCH = 25              # runs in a batch: enough to share the work of a frame, and to keep often
 _PROBABILITY = 0.95

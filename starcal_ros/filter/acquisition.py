@@ -18,22 +18,19 @@ An attitude is believed if at least half of the stars, and three, are left in th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from starcal_ros.core import camera
-from starcal_ros.filter.error_state import LENS, Belief, Filter
+from starcal_ros.core.arrays import Mask
+from starcal_ros.core.consensus import consensus
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import LENS
 from starcal_ros.measurements.samples import Stars
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MIN_STARS = 3
 """Stars that must agree before an attitude is believed."""
-OUT_OF_PLACE = 0.1
-"""Of the size of a frame: no camera that is calibrated puts a star so far off."""
 
-_PAIRS = 500            # pairs that are tried, at most
 _ITERATIONS = 10
 _ROBUST_ITERATIONS = 30
 _CONVERGED = 0.01       # step, in units of the filter's scale, below which Gauss-Newton stops
@@ -94,41 +91,6 @@ def _require(agreeing: int, usable: int) -> None:
     if agreeing < needed:
         raise AcquisitionError(f'{agreeing} of {usable} stars agree with the catalogue, '
                                f'{needed} are needed for an attitude')
-
-
-def consensus(u_i: Array, r_s: Array, tolerance: float) -> Mask:
-    """Tell which stars agree with the attitude that most of them agree with.
-
-    Parameters
-    ----------
-    u_i, r_s : (n, 3) array
-        Unit vectors to the stars: catalogue, in i, and measured, in s.
-    tolerance : float
-        Angle allowed between the measured and the predicted direction of a star [rad].
-
-    Returns
-    -------
-    agreeing : (n,) bool array
-    """
-    first, second = np.triu_indices(len(u_i), 1)
-    thinned = slice(None, None, len(first) // _PAIRS + 1)
-    first, second = first[thinned], second[thinned]
-    if not len(first):
-        return np.zeros(len(u_i), dtype=bool)
-    C_si = _triad(r_s[first], r_s[second]) @ np.swapaxes(_triad(u_i[first], u_i[second]), -1, -2)
-    miss = np.linalg.norm(u_i @ np.swapaxes(C_si, -1, -2) - r_s, axis=-1)
-    found = miss <= tolerance
-    # Most stars first; among equals the smallest misses.
-    merit = found.sum(axis=1) - np.where(found, miss, 0.0).mean(axis=1) / (2.0 * tolerance)
-    return found[np.argmax(merit)]
-
-
-def _triad(a: Array, b: Array) -> Array:
-    """Return axes along a, across a and b, and square to both, as columns (..., 3, 3)."""
-    across = np.cross(a, b)
-    # Stars that coincide give no axes, and no star will agree with them.
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
-    return np.stack((a, across, np.cross(a, across)), axis=-1)
 
 
 def _resist(filter_: Filter, start: Belief, stars: Stars, trusted: Mask) -> Mask:

@@ -7,15 +7,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.filter import augmentation
-from starcal_ros.filter.error_state import EPSILON, MATRIX, PHI, Belief, Filter
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import EPSILON, MATRIX, PHI
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import GyroSamples
-
-Array = NDArray[np.float64]
 
 
 class Track(NamedTuple):
@@ -33,7 +33,7 @@ class Track(NamedTuple):
         Angular velocity without bias, in g [rad/s].
     """
 
-    stamp_ns: NDArray[np.int64]
+    stamp_ns: Ints
     C_gi: Array
     covariance: Array
     rate: Array

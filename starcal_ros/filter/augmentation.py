@@ -59,12 +59,10 @@ over an interval.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from starcal_ros.config.scenario import AugmentConfig
+from starcal_ros.config.estimator import AugmentConfig
 from starcal_ros.core import rotation
-
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
 
 N_MATRIX = 9
 PPM = 1e-6

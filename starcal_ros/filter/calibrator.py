@@ -22,21 +22,22 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from starcal_ros.config.scenario import EstimatorConfig, Scenario
+from starcal_ros.config.estimator import EstimatorConfig
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.filter import augmentation
 from starcal_ros.filter.acquisition import AcquisitionError, acquire
 from starcal_ros.filter.attitude_track import Track, Tracker
-from starcal_ros.filter.error_state import EPSILON, SCALE, SIGMA_ACQUIRED, Belief, Filter, Update
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
+from starcal_ros.filter.states import EPSILON, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.preintegration import GAP, Preintegrated
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import Places
 from starcal_ros.measurements.timeline import NEVER_NS, Dropped, Timeline
-
-Array = NDArray[np.float64]
 
 REPROJECTION_S = 600.0
 """Time over which the reprojection error is taken, T18 Sec. 3.1 [s]."""
@@ -96,8 +97,8 @@ class FrameResult(NamedTuple):
     uv_raster: Array
     residual: Array
     chi2: Array
-    accepted: NDArray[np.bool_]
-    catalog_id: NDArray[np.int64]
+    accepted: Mask
+    catalog_id: Ints
     nis: float
     track: Track
 
@@ -360,7 +361,7 @@ class Stream:
         found_belief, frame = found
         return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
 
-    def _account(self, update: Update, usable: NDArray[np.bool_]) -> None:
+    def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())
         refused = int(usable.sum()) - used
         self.counts.stars += used

@@ -47,165 +47,32 @@ size. Every function takes leading batch axes.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import astuple, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from starcal_ros.config.estimator import ProcessNoiseConfig, SigmaConfig
 from starcal_ros.config.models import detector, intrinsics, mounting_matrix
-from starcal_ros.config.scenario import ProcessNoiseConfig, Scenario, SigmaConfig
+from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, kalman, rotation
-from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
+from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
 from starcal_ros.filter import augmentation, process_noise
+from starcal_ros.filter.belief import SCALES, Belief, Nominal
+from starcal_ros.filter.states import (CALIBRATED, EPSILON, LENS, MATRIX, N_STATES, PSI, SCALE,
+                                       THETA, UNIT)
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-PHI, EPSILON, PSI, LENS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 16)
-THETA = PHI                                     # the same three places inside the filter
-N_STATES = 16
-MATRIX, AUGMENTED = slice(16, 25), slice(16, None)      # where they are on
-CALIBRATED = slice(3, 16)                       # all but the attitude
-STATE_NAMES = ('phi_x', 'phi_y', 'phi_z', 'epsilon_x', 'epsilon_y', 'epsilon_z',
-               'psi_x', 'psi_y', 'psi_z', *camera.INTRINSICS)
-STATE_UNITS = (*('arcsec',) * 3, *('deg/h',) * 3, *('arcsec',) * 3, 'px', 'px', 'mm', 'mm^-2',
-               'mm^-4', 'mm^-1', 'mm^-1')
-UNIT = np.array([*(ARCSEC,) * 3, *(DEG_PER_HOUR,) * 3, *(ARCSEC,) * 3, *(1.0,) * 7])
-"""One human unit (STATE_UNITS) of each state, in the unit that the filter counts in."""
-SCALE = np.array([*(1e-5,) * 3, *(1e-8,) * 3, *(1e-5,) * 3, 0.1, 0.1, 1e-4, 1e-6, 1e-8, 1e-6,
-                  1e-6])
-
 _FIELD = 1.5            # a star may be predicted this far out, in half diagonals
-_SCALES = np.append(SCALE, augmentation.SCALE)
-_RESCALE = _SCALES / _SCALES[:, None]
+_RESCALE = SCALES / SCALES[:, None]
 _KINDS = (3, 3, 2, 1, 1, 1, 1, 1)       # calibrated states of each kind that a SigmaConfig has
 
 SIGMA_ACQUIRED = 1.0 * DEG
 """Attitude sigma given to a first fix: wide against its error, so that the frame's own update,
 and not the fix, is what the estimate knows."""
-
-
-@dataclass(frozen=True)
-class Nominal:
-    """What is believed: the values that the filter's errors are errors of.
-
-    Attributes
-    ----------
-    C_gi : (..., 3, 3) array
-        Attitude, i to g.
-    bias : (..., 3) array
-        Gyro bias [rad/s].
-    C_sg : (..., 3, 3) array
-        Mounting, g to s.
-    intrinsics : (..., 7) array
-        Camera, as in `starcal_ros.core.camera`.
-    augmented : (..., m) array
-        What `augmentation` adds to these, if anything.
-    reading : (..., 3) array
-        The gyro's reading at the stamp, for the time offset [rad/s].
-    """
-
-    C_gi: Array
-    bias: Array
-    C_sg: Array
-    intrinsics: Array
-    augmented: Array = field(default_factory=lambda: np.empty(0))
-    reading: Array = field(default_factory=lambda: np.zeros(3))
-
-    @property
-    def C_si(self) -> Array:
-        """Attitude of the star tracker, (..., 3, 3), i to s."""
-        return self.C_sg @ self.C_gi
-
-    def without(self, error: Array) -> Nominal:
-        """Return the values freed of an error (..., 16 + m), its attitude part theta."""
-        turn = rotation.exp(-np.stack((error[..., THETA], error[..., PSI])))
-        C_sg = rotation.orthonormalized(turn[1] @ self.C_sg)
-        C_gi = rotation.orthonormalized(np.swapaxes(C_sg, -1, -2) @ turn[0] @ self.C_si)
-        return Nominal(C_gi, self.bias - error[..., EPSILON], C_sg,
-                       self.intrinsics - error[..., LENS],
-                       augmentation.freed(self.augmented, error[..., AUGMENTED], self.C_sg),
-                       self.reading)
-
-    def minus(self, truth: Nominal) -> Array:
-        """Return the error (..., 16 + m) of these values, its attitude part theta."""
-        return np.concatenate((
-            rotation.log(self.C_si @ np.swapaxes(truth.C_si, -1, -2)),
-            self.bias - truth.bias,
-            rotation.log(self.C_sg @ np.swapaxes(truth.C_sg, -1, -2)),
-            self.intrinsics - truth.intrinsics,
-            augmentation.error(self.augmented, truth.augmented, self.C_sg)), axis=-1)
-
-
-@dataclass(frozen=True)
-class Belief:
-    """Nominal values, the error expected of them, and the covariance of that error.
-
-    Attributes
-    ----------
-    nominal : Nominal
-        Values.
-    error : (..., n) array
-        Expected error of the n = 16 + m values, its attitude part theta; zero with feedback.
-    root : (..., n, n) array
-        Root of the error covariance, each state in units of SCALE, the attitude part theta.
-    """
-
-    nominal: Nominal
-    error: Array
-    root: Array
-
-    @property
-    def estimate(self) -> Nominal:
-        """The best values: the nominal ones less their expected error."""
-        return self.nominal.without(self.error) if self.error.any() else self.nominal
-
-    @property
-    def whole_root(self) -> Array:
-        """Root of the covariance, (..., n, n), in the filter's units, the attitude part phi."""
-        root = self.root * _SCALES[:self.root.shape[-1], None]
-        C_is = np.swapaxes(self.nominal.C_si, -1, -2)
-        root[..., PHI, :] = C_is @ (root[..., THETA, :] - root[..., PSI, :])
-        if root.shape[-1] > N_STATES:
-            root[..., AUGMENTED, :] = augmentation.outer(
-                root[..., AUGMENTED, :], self.nominal.augmented, self.nominal.C_sg)
-        return root
-
-    @property
-    def state_root(self) -> Array:
-        """Root of the covariance of T18's states, (..., 16, 16), in the filter's units."""
-        return kalman.marginal(self.whole_root, N_STATES)
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of T18's states, (..., 16, 16), in the filter's units."""
-        root = self.state_root
-        return root @ np.swapaxes(root, -1, -2)
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviation of T18's states, (..., 16), in the filter's units."""
-        root = self.state_root
-        return np.sqrt(np.einsum('...ij,...ij->...i', root, root))
-
-    @property
-    def augmented_sigma(self) -> Array:
-        """Standard deviation of the augmented states, (..., m), in the filter's units."""
-        return np.linalg.norm(self.whole_root[..., AUGMENTED, :], axis=-1)
-
-    @property
-    def tracker_sigma(self) -> Array:
-        """Standard deviation of theta, (..., 3): the attitude of the star tracker [rad]."""
-        return SCALE[THETA] * np.linalg.norm(self.root[..., THETA, :], axis=-1)
-
-    def nees(self, truth: Nominal) -> Array:
-        """Return the normalised estimation error squared, (...), of n degrees of freedom."""
-        error = self.estimate.minus(truth) / _SCALES[:self.root.shape[-1]]
-        return np.sum(np.linalg.solve(self.root, error[..., None])**2, axis=(-2, -1))
 
 
 class Update(NamedTuple):
@@ -259,7 +126,7 @@ class Filter:
         self.tolerance = _vector(options.tolerance)
         self.density = _vector(options.process_noise) / 60.0        # of the walks, per sqrt(s)
         self.has_matrix = augmentation.has_matrix(len(augmented))
-        self.scale = _SCALES[:len(self.initial_sigma)]
+        self.scale = SCALES[:len(self.initial_sigma)]
         self._start_root = np.diag(self.initial_sigma / self.scale)
         if covariance is not None:
             self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
@@ -316,7 +183,7 @@ class Filter:
         Q_root[..., range(3), range(3)] = (sigma / SCALE[0])[..., None]
         if self.density.any():
             Q_root = np.concatenate((Q_root, process_noise.root(
-                self.density, B, gyro.duration, n) / _SCALES[:n, None]), axis=-1)
+                self.density, B, gyro.duration, n) / SCALES[:n, None]), axis=-1)
         root = kalman.predict(belief.root, Phi * _RESCALE[:n, :n], Q_root)
         return Belief(replace(nominal, C_gi=C_gi, reading=gyro.reading), error, root)
 
@@ -371,7 +238,7 @@ class Filter:
             Refuse stars whose chi-square lies outside the gate.
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
-        z, scale = uv - stars.uv, _SCALES[:H.shape[-1]]
+        z, scale = uv - stars.uv, SCALES[:H.shape[-1]]
         innovation = kalman.innovate(belief.root, H * scale, z - _apply(H, belief.error),
                                      stars.sigma)
         usable = in_view & np.isfinite(stars.sigma)

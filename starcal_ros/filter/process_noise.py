@@ -22,9 +22,8 @@ which is wrong by a sixth of the turn at most: 0.07 % for 0.25 deg.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
 
 _COLUMNS = 16           # n1, n3, n4: one for each of the 13 states that walk; n2: three
 

@@ -30,17 +30,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.units import DEG
-from starcal_ros.filter.error_state import (CALIBRATED, N_STATES, PHI, STATE_NAMES, STATE_UNITS,
-                                            UNIT, Belief, Filter, Nominal)
+from starcal_ros.filter.belief import Belief, Nominal
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import CALIBRATED, N_STATES, PHI, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
-
-Array = NDArray[np.float64]
 
 NAMES = ('attitude_x', 'attitude_y', 'attitude_z', *STATE_NAMES[CALIBRATED])
 """The states as `Verdict.correlation` counts them; the attitude in s."""
@@ -219,7 +218,7 @@ def _correlation(belief: Belief, root: Array) -> Array:
     return root @ root.T
 
 
-def _groups(correlation: Array, outside: NDArray[np.bool_]) -> list[list[int]]:
+def _groups(correlation: Array, outside: Mask) -> list[list[int]]:
     """Return the states that hang together by pairs of which one is outside its tolerance."""
     pairs = (np.abs(correlation) > COUPLED) & (outside | outside[:, None])
     _, label = connected_components(pairs)

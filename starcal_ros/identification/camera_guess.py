@@ -7,11 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
-
-Array = NDArray[np.float64]
 
 _OFF_CENTRE = 0.03      # principal point, parts of the width: a lens seldom sits better
 _RADIAL = 0.01          # what k1 and k2 each move the corner, parts of its distance

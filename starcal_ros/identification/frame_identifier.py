@@ -16,11 +16,10 @@ from collections import Counter, deque
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from starcal_ros.calibration.camera_estimate import beginning
-from starcal_ros.config.models import detector, observer
+from starcal_ros.config.models import detector, nominal_camera, observer
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Ints
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identification, Identifier, MirroredError
 from starcal_ros.measurements.frame_rotations import turns
@@ -50,7 +49,7 @@ class Numbering:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario, camera = scenario, beginning(scenario)
+        self._scenario, camera = scenario, nominal_camera(scenario)
         self._identifier = Identifier(
             CameraGuess(detector(scenario.camera), camera.intrinsics, camera.covariance),
             observer(scenario.observer), scenario.star_identifier.limiting_magnitude)
@@ -80,7 +79,7 @@ class Numbering:
         """Take frames, in the order in which they arrived."""
         self._waiting.extend(frames[k:k + 1] for k in range(len(frames)))
 
-    def process(self, wait: bool) -> Iterator[NDArray[np.int64]]:
+    def process(self, wait: bool) -> Iterator[Ints]:
         """Yield the numbers (n,) of the spots of each frame, in order; 0 where none can be told.
 
         Parameters
@@ -134,6 +133,6 @@ class Numbering:
         self._gyro = [gyro[first:]]
         return self._gyro[0]
 
-    def _before(self, stamp_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _before(self, stamp_ns: Ints) -> Ints:
         """Return the newest stamp before each of those of some readings."""
         return np.maximum.accumulate(np.concatenate(([self._gyro_ns], stamp_ns)))[:-1]

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.identification import patterns
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.matching import (RAYLEIGH_MEDIAN, Expected, View, chance, expected,
@@ -27,9 +28,6 @@ from starcal_ros.identification.star_field import StarField
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.catalog import SHIPPED_LIMIT
 from starcal_ros.sky.refraction import Site
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MODEL_SIGMA_PX = 0.2
 """What no camera model explains of the place of a star, each axis [px]."""
@@ -69,7 +67,7 @@ class Identification:
         Whether an expected attitude led there, and not a search.
     """
 
-    catalog_id: NDArray[np.int64]
+    catalog_id: Ints
     view: View
     rms_px: float
     tracked: bool
@@ -289,7 +287,7 @@ class _Spots(NamedTuple):
     """The usable spots of a frame of `total`: rows, places from the centre, fluxes, sigmas."""
 
     total: int
-    row: NDArray[np.int64]
+    row: Ints
     uv: Array
     flux: Array
     sigma: Array
@@ -304,8 +302,8 @@ class _Settled(NamedTuple):
     """What `Identifier._settle` comes to: rows (m) and their stars, all stars (n), residuals."""
 
     view: View
-    row: NDArray[np.int64]
-    hip: NDArray[np.int64]
+    row: Ints
+    hip: Ints
     u_i: Array
     stars: Expected
     sigma: float

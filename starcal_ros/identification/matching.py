@@ -23,14 +23,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
 
 from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = Ints
 
 GATE = float(chi2.ppf(0.999, 2))
 """Chi-square of two degrees of freedom that one image of a star in a thousand exceeds."""

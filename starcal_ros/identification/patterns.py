@@ -17,12 +17,10 @@ import tempfile
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 from starcal_ros.sky import catalog
-
-Array = NDArray[np.float64]
 
 _STEP = 1.5             # fields of one database are whole powers of it, from one to the next
 _STAR = np.dtype([('number', '<i8'), ('ra_deg', '<f8'), ('dec_deg', '<f8'), ('magnitude', '<f4'),
@@ -45,8 +43,8 @@ class PatternMatch(NamedTuple):
         The stars match in the mirror only.
     """
 
-    spot: NDArray[np.int64]
-    hip: NDArray[np.int64]
+    spot: Ints
+    hip: Ints
     focal_px: float
     mirrored: bool
 

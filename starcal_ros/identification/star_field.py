@@ -9,16 +9,14 @@ from typing import NamedTuple
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
 from starcal_ros.sky.refraction import Site, refracted
-
-Array = NDArray[np.float64]
 
 _TIMELESS_NS = unix_ns('2020-01-01')
 _MARGIN = 1.1           # of the detector: aberration, and what the camera is wrong by
@@ -37,7 +35,7 @@ class Field(NamedTuple):
         Hp.
     """
 
-    hip: NDArray[np.int64]
+    hip: Ints
     u_i: Array
     magnitude: Array
 
@@ -65,7 +63,7 @@ class StarField:
         self._brightest = np.argsort(self._stars.magnitude, kind='stable')
         self._direction = erfa.s2c(self._stars.ra, self._stars.dec)[self._brightest]
 
-    def places(self, hip: NDArray[np.int64], stamp_ns: int | None) -> Array:
+    def places(self, hip: Ints, stamp_ns: int | None) -> Array:
         """Return the apparent places, (n, 3), of stars of the catalogue."""
         return self._places(self._stars.rows(hip), stamp_ns)
 
@@ -80,7 +78,7 @@ class StarField:
         row = self._brightest[near[detector.contains(uv / _MARGIN)][:count]]
         return Field(self._stars.hip[row], self._places(row, stamp_ns), self._stars.magnitude[row])
 
-    def _places(self, row: NDArray[np.int64], stamp_ns: int | None) -> Array:
+    def _places(self, row: Ints, stamp_ns: int | None) -> Array:
         when, who = ((_TIMELESS_NS, self._timeless) if stamp_ns is None
                      else (stamp_ns, self._observer))
         places = apparent_places(self._stars, row, [when], [len(row)], who)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
+
 Image = NDArray[np.float32]
 
 _TILE_PX = 64

@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from starcal_ros.config.image import CentroidConfig
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.imaging.background import background
 from starcal_ros.imaging.cutouts import Shape, Stamps
 from starcal_ros.imaging.detection import Spots, find_spots
-from starcal_ros.imaging.files import top
+from starcal_ros.imaging.pixels import top
 from starcal_ros.imaging.psf_fit import fit
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.int64]
+Rows = Ints
 
 SATURATED, BLENDED, EDGE, ELONGATED = 1, 2, 4, 8
 """Flags of a centroid: pixels at the top of the range; another spot within reach; part of it

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array, Ints, Mask
+
 Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.int64]
+Rows = Ints
 
 _LEAST_SIGMA, _LONGEST_TRAIL, _LARGEST_HALF = 0.3, 60.0, 32     # px
 _ROUND = 0.15                   # second moments along and across differ less: no trail

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array, Ints, Mask
+
 Image = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.int64]
+Rows = Ints
 
 _SMOOTHED_NOISE = 6.0 / 16.0    # of white noise, after _smoothed
 _PART_OF_PEAK = np.float32(0.5)

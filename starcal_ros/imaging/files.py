@@ -20,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.imaging import exposure_time
+from starcal_ros.imaging.pixels import grey, top
 
 FITS_SUFFIXES = ('.fits', '.fit', '.fts')
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', *FITS_SUFFIXES)
-
-_LUMINANCE = np.array([0.299, 0.587, 0.114])
 
 
 class ImageFileError(ValueError):
@@ -126,15 +125,3 @@ def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
     if order != 'TOP-DOWN':
         pixels = pixels[::-1]
     return pixels, saturation, exposure_time.of_fits(header)
-
-
-def grey(colour: NDArray[np.float32], saturation: float) -> NDArray[np.float32]:
-    """Return the luminance of an image (height, width, 3), full where a channel is."""
-    counts = colour @ _LUMINANCE.astype(np.float32)
-    counts[colour.max(axis=-1) >= saturation] = saturation
-    return counts
-
-
-def top(kind: np.dtype[Any]) -> float:
-    """Return the largest count of a type of pixels; infinite where they are not whole."""
-    return float(np.iinfo(kind).max) if np.issubdtype(kind, np.integer) else np.inf

@@ -29,13 +29,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import psf
+from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.imaging.cutouts import Shape, Stamps
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _LEAST_PIXELS = 9               # that a fit needs
 _FARTHEST_PX = 1.5              # from the middle of the stamp, where a fit may end; its sigma

@@ -5,16 +5,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.models import mounting_matrix
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG_PER_HOUR
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.measurements.timeline import Stamped
-
-Array = NDArray[np.float64]
 
 
 def turns(gyro: GyroSamples, frames: Stamped, scenario: Scenario) -> list[Array | None]:

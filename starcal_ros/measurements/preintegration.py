@@ -29,13 +29,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.measurements.samples import GyroSamples
-
-Array = NDArray[np.float64]
 
 GAP = 1.5               # sampling intervals without a reading that count as a silence
 _BATCH = 1000           # intervals composed at once; bounds the memory to some 20 MB, with M 40 MB
@@ -81,13 +79,13 @@ class Pieces(NamedTuple):
         As in `Preintegrated`; zero where a reading covers the piece.
     """
 
-    end_ns: NDArray[np.int64]
+    end_ns: Ints
     dt: Array
     rate: Array
     gap_turn: Array
 
 
-def cut(gyro: GyroSamples, cuts_ns: NDArray[np.int64], period_ns: float) -> Pieces:
+def cut(gyro: GyroSamples, cuts_ns: Ints, period_ns: float) -> Pieces:
     """Cut the time from the first of `cuts_ns` to the last into pieces of constant rate.
 
     Parameters
@@ -121,7 +119,7 @@ def cut(gyro: GyroSamples, cuts_ns: NDArray[np.int64], period_ns: float) -> Piec
     return Pieces(end, (end - start) * NS, rate, gap_turn)
 
 
-def preintegrate(gyro: GyroSamples, cuts_ns: NDArray[np.int64], bias: Array, period_ns: float,
+def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float,
                  with_matrix: bool = False) -> Preintegrated:
     """Compose the readings between neighbouring stamps.
 
@@ -160,7 +158,7 @@ def preintegrate(gyro: GyroSamples, cuts_ns: NDArray[np.int64], bias: Array, per
                          gyro.rate[np.searchsorted(gyro.stamp_ns, cuts_ns[1:])])
 
 
-def _compose(theta: Array, dt: Array, interval: NDArray[np.int64], rank: NDArray[np.int64],
+def _compose(theta: Array, dt: Array, interval: Ints, rank: Ints,
              n: int, with_matrix: bool) -> tuple[Array, Array]:
     """Compose pieces, each the `rank`-th of its interval, into n Delta and J."""
     width = 1 << int(rank.max(initial=0)).bit_length()

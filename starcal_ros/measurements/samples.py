@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array, Ints, Mask
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class GyroSamples:
         Mean angular velocity of g relative to i over that interval, resolved in g [rad/s].
     """
 
-    stamp_ns: NDArray[np.int64]
-    rate: NDArray[np.float64]
+    stamp_ns: Ints
+    rate: Array
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -80,12 +80,12 @@ class Frames:
         Hipparcos number, 0 where not identified.
     """
 
-    stamp_ns: NDArray[np.int64]
-    first: NDArray[np.int64]
-    uv_raster: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    magnitude: NDArray[np.float64]
-    catalog_id: NDArray[np.int64]
+    stamp_ns: Ints
+    first: Ints
+    uv_raster: Array
+    sigma: Array
+    magnitude: Array
+    catalog_id: Ints
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -109,7 +109,7 @@ class Frames:
                       self.magnitude[star], self.catalog_id[star])
 
     @property
-    def star_counts(self) -> NDArray[np.int64]:
+    def star_counts(self) -> Ints:
         """Number of stars in each frame, (n_frames,)."""
         return np.diff(self.first)
 
@@ -151,7 +151,7 @@ class Stars(NamedTuple):
     sigma: Array
 
 
-def newer(stamps_ns: NDArray[np.int64], last_ns: int) -> NDArray[np.bool_]:
+def newer(stamps_ns: Ints, last_ns: int) -> Mask:
     """Tell which stamps are larger than all before them and than `last_ns`."""
     before = np.concatenate(([last_ns], np.maximum.accumulate(stamps_ns)))[:-1]
     return stamps_ns > np.maximum(before, last_ns)

@@ -22,17 +22,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.models import detector, intrinsics, mounting_matrix
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, rotation
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import DEG, DEG_PER_HOUR, NS
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.star_directions import Places
-
-Array = NDArray[np.float64]
 
 WIDE = 1.5 * DEG
 """A spot may be this far from where it is expected: what a slew may turn between two frames."""
@@ -56,7 +54,7 @@ class Followed(NamedTuple):
         recognised.
     """
 
-    track: NDArray[np.int64]
+    track: Ints
     turn: Array
 
 
@@ -82,7 +80,7 @@ class SpotTracker:
         self._turn, self._dt = np.eye(3), 1.0           # the last one seen, and its time [s]
         self._w: Array = np.empty((0, 3))               # the tracks: direction at the last frame,
         self._number = np.empty(0, np.int64)            # number,
-        self._missed: NDArray[np.int64] = np.empty(0, np.int64)     # frames without a spot
+        self._missed: Ints = np.empty(0, np.int64)     # frames without a spot
         self._next = 0
 
     def follow(self, frames: Frames, gyro: GyroSamples | None = None) -> Followed:
@@ -122,20 +120,20 @@ class SpotTracker:
             return self._turn
         return rotation.exp(rotation.log(self._turn) * (dt / self._dt))
 
-    def _turns(self, gyro: GyroSamples | None, cuts_ns: NDArray[np.int64]
-               ) -> tuple[NDArray[np.bool_], Array]:
+    def _turns(self, gyro: GyroSamples | None, cuts_ns: Ints
+               ) -> tuple[Mask, Array]:
         """Return where the gyro knows C_s1s0 between the stamps, and what it is, (n, 3, 3)."""
         if gyro is None:
             return np.zeros(len(cuts_ns) - 1, np.bool_), np.empty((len(cuts_ns) - 1, 0))
         turned = preintegration.preintegrate(gyro, cuts_ns, self._bias, self._period_ns)
         return turned.gap_turn == 0.0, self._C_sg @ turned.Delta @ self._C_sg.T
 
-    def _step(self, w_s: Array, turn: Array) -> tuple[NDArray[np.int64], Array]:
+    def _step(self, w_s: Array, turn: Array) -> tuple[Ints, Array]:
         """Return the track of each spot of one frame, and the turn that they show."""
         carried = self._w @ turn.T
         shown = _correction(carried, w_s, 2.0 * self._gate)
-        found: NDArray[np.int64] = np.empty((0, 2), np.int64)
-        taken: NDArray[np.bool_] = np.zeros(len(w_s), np.bool_)
+        found: Ints = np.empty((0, 2), np.int64)
+        taken: Mask = np.zeros(len(w_s), np.bool_)
         if shown is not None:
             turn, carried = shown @ turn, carried @ shown.T
             near = _apart(carried, w_s) < self._gate**2

@@ -8,16 +8,13 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.models import detector, observer
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SIGMA_PX = (1e-4, 1e3)
 """Least and largest sigma of a centroid; outside, the arithmetic of a filter ends."""
@@ -102,7 +99,7 @@ def unmeasured(frames: Frames, sigma: Array, measured: Mask) -> Iterator[tuple[o
             '{:g} to {:g} px: left out'.format(*SIGMA_PX))
 
 
-def _unknown(numbers: NDArray[np.int64]) -> Iterator[tuple[object, str]]:
+def _unknown(numbers: Ints) -> Iterator[tuple[object, str]]:
     for number in np.unique(numbers[numbers != 0])[:_NAMED].tolist():
         yield number, f'star number {number} is not in the catalogue: left out'
     if (numbers == 0).any():

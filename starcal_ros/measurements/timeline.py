@@ -25,7 +25,8 @@ from collections.abc import Generator, Iterator
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+
+from starcal_ros.core.arrays import Ints
 
 SET_BACK_S = 3.0
 """Time that messages must go on in the past before the clock counts as set back [s]."""
@@ -38,7 +39,7 @@ class Stamped(Protocol):
     """Messages in the order of their arrival: `GyroSamples` or `Frames`."""
 
     @property
-    def stamp_ns(self) -> NDArray[np.int64]:
+    def stamp_ns(self) -> Ints:
         """Stamps, (n,)."""
 
     def __len__(self) -> int: ...

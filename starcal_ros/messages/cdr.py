@@ -1,16 +1,11 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Gyro samples to and from CDR, many messages at once.
+"""Many CDR messages at once: what all of them have in common.
 
 A ROS 2 message is four bytes of encapsulation (the second tells little-endian, 1, from
-big-endian, 0), then its fields in order, each aligned to its own size counted from there::
-
-    sensor_msgs/Imu     sec i4 | nanosec u4 | frame_id: length u4, bytes, NUL | pad to 8 |
-                        37 float64: orientation 4, its covariance 9, angular velocity 3,
-                        its covariance 9, linear acceleration 3, its covariance 9
-
-The length of ``frame_id`` alone decides where the numbers stand, so that a few gathers read any
-number of messages. :mod:`starcal_ros.messages.cdr_pointcloud` does the same for star frames.
+big-endian, 0), then its fields in order, each aligned to its own size counted from there; those of
+the suite begin with std_msgs/Header. The types have a module each: `cdr_imu`, `cdr_pointcloud`,
+`cdr_image`.
 """
 
 from __future__ import annotations
@@ -22,17 +17,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.measurements.samples import GyroSamples
+from starcal_ros.core.arrays import Ints
 
 ByteOrder = Literal['<', '>']
 
-IMU_TYPE = 'sensor_msgs/msg/Imu'
 ENCAPSULATION = 4
 HEADER = np.dtype([('sec', 'i4'), ('nanosec', 'u4'), ('frame_id_length', 'u4')])
-
-_IMU_NUMBERS = 37
-_ORIENTATION_W, _ORIENTATION_COVARIANCE = 3, 4
-_RATE, _RATE_COVARIANCE, _ACCELERATION_COVARIANCE = 13, 16, 28
 
 
 class RecordError(ValueError):
@@ -52,8 +42,8 @@ class Messages:
     """
 
     data: NDArray[np.uint8]
-    start: NDArray[np.int64]
-    size: NDArray[np.int64]
+    start: Ints
+    size: Ints
 
     def __len__(self) -> int:
         return len(self.start)
@@ -65,7 +55,7 @@ class Messages:
         return cls(np.frombuffer(b''.join(messages), np.uint8), np.cumsum(size) - size, size)
 
 
-def gather(data: NDArray[np.uint8], position: NDArray[np.int64], dtype: np.dtype[np.void],
+def gather(data: NDArray[np.uint8], position: Ints, dtype: np.dtype[np.void],
            ) -> NDArray[np.void]:
     """Read a packed structure at each of many byte positions, aligned or not, (n,) of dtype."""
     if not position.size:
@@ -75,7 +65,7 @@ def gather(data: NDArray[np.uint8], position: NDArray[np.int64], dtype: np.dtype
     return windows[position].view(dtype)
 
 
-def by_byte_order(messages: Messages) -> Iterator[tuple[NDArray[np.int64], ByteOrder]]:
+def by_byte_order(messages: Messages) -> Iterator[tuple[Ints, ByteOrder]]:
     """Split messages by the byte order of their encapsulation.
 
     Yields
@@ -102,7 +92,7 @@ def by_byte_order(messages: Messages) -> Iterator[tuple[NDArray[np.int64], ByteO
             yield rows, order
 
 
-def require(size: NDArray[np.int64], needed: int | NDArray[np.int64], what: str) -> None:
+def require(size: Ints, needed: int | Ints, what: str) -> None:
     """Raise RecordError where a message is shorter than its content, encapsulation apart."""
     short = np.flatnonzero(size < needed)
     if short.size:
@@ -111,64 +101,7 @@ def require(size: NDArray[np.int64], needed: int | NDArray[np.int64], what: str)
         raise RecordError(f'a message of {has} bytes is cut short: {what} needs {needs}')
 
 
-def encode_imu(samples: GyroSamples, frame_id: str = 'gyro',
-               angular_velocity_variance: float = 0.0) -> NDArray[np.uint8]:
-    """Encode gyro samples as sensor_msgs/Imu without orientation and acceleration (REP-145).
-
-    Parameters
-    ----------
-    samples : GyroSamples
-        n samples; stamps in ns, rates in rad/s.
-    frame_id : str
-        Name of the gyro frame.
-    angular_velocity_variance : float
-        Variance of each axis, 0 where unknown [(rad/s)^2].
-
-    Returns
-    -------
-    rows : (n, size) uint8 array
-        One little-endian message a row.
-    """
-    name = frame_id.encode() + b'\0'
-    padded = -(-(HEADER.itemsize + len(name)) // 8) * 8 - HEADER.itemsize
-    dtype = np.dtype([('encapsulation', 'u1', ENCAPSULATION), ('sec', '<i4'), ('nanosec', '<u4'),
-                      ('length', '<u4'), ('name', f'S{padded}'),
-                      ('numbers', '<f8', _IMU_NUMBERS)])
-    rows = np.zeros(len(samples), dtype)
-    rows['encapsulation'][:, 1] = 1
-    rows['sec'], rows['nanosec'] = np.divmod(samples.stamp_ns, 10**9)
-    rows['length'], rows['name'] = len(name), name
-    numbers = rows['numbers']
-    numbers[:, _ORIENTATION_W] = 1.0
-    numbers[:, [_ORIENTATION_COVARIANCE, _ACCELERATION_COVARIANCE]] = -1.0
-    numbers[:, _RATE:_RATE + 3] = samples.rate
-    numbers[:, _RATE_COVARIANCE:_RATE_COVARIANCE + 9:4] = angular_velocity_variance
-    return rows.view(np.uint8).reshape(len(samples), dtype.itemsize)
-
-
-def decode_imu(messages: Messages) -> GyroSamples:
-    """Decode sensor_msgs/Imu: stamps and angular velocities, as they are.
-
-    Raises
-    ------
-    RecordError
-        If a message is too short for its own content or is not plain CDR.
-    """
-    stamp_ns, rate = np.empty(len(messages), np.int64), np.empty((len(messages), 3))
-    for rows, order in by_byte_order(messages):
-        start = messages.start[rows] + ENCAPSULATION
-        size = messages.size[rows] - ENCAPSULATION
-        require(size, HEADER.itemsize, IMU_TYPE)
-        header = gather(messages.data, start, HEADER.newbyteorder(order))
-        numbers = HEADER.itemsize + header['frame_id_length'].astype(np.int64) + 7 & ~7
-        require(size, numbers + 8 * _IMU_NUMBERS, IMU_TYPE)
-        stamp_ns[rows] = header_stamp_ns(header)
-        rate[rows] = gather(messages.data, start + numbers + 8 * _RATE,
-                            np.dtype([('rate', f'{order}f8', 3)]))['rate']
-    return GyroSamples(stamp_ns, rate)
-
-
-def header_stamp_ns(header: NDArray[np.void]) -> NDArray[np.int64]:
+def header_stamp_ns(header: NDArray[np.void]) -> Ints:
     """Return the stamps of std_msgs/Header, (n,) ns since the epoch."""
-    stamp_ns: NDArray[np.int64] = header['sec'] * np.int64(10**9) + header['nanosec']
+    stamp_ns: Ints = header['sec'] * np.int64(10**9) + header['nanosec']
     return stamp_ns

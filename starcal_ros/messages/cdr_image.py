@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.imaging.files import grey
+from starcal_ros.imaging.pixels import grey
 from starcal_ros.messages.cdr import ENCAPSULATION, RecordError
 
 IMAGE_TYPE = 'sensor_msgs/msg/Image'

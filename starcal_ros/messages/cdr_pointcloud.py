@@ -22,6 +22,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Ints, Mask
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages.cdr import (ENCAPSULATION, HEADER, ByteOrder, Messages, RecordError,
                                       by_byte_order, gather, header_stamp_ns, require)
@@ -43,7 +44,7 @@ class _Layout:
     """What one sender's clouds have in common, from `fields` to `point_step`."""
 
     encoded: NDArray[np.uint8]
-    meaningful: NDArray[np.int64]       # the bytes of it that are not padding
+    meaningful: Ints       # the bytes of it that are not padding
     point: np.dtype[np.void]
     names: tuple[str, ...]
 
@@ -104,7 +105,7 @@ def decode_centroids(messages: Messages) -> Frames:
     return _assemble(stamp_ns, counts, parts)
 
 
-def with_numbers(message: bytes, catalog_id: NDArray[np.int64]) -> bytes:
+def with_numbers(message: bytes, catalog_id: Ints) -> bytes:
     """Return a cloud with these Hipparcos numbers and all else as it was.
 
     A cloud without a field `catalog_id` gets one at the end of its points, and then has no
@@ -208,8 +209,8 @@ def _parse_layout(encoded: bytes, order: ByteOrder) -> _Layout:
                    np.concatenate([np.arange(*span) for span in spans]), point, tuple(present))
 
 
-def _shares(layout: _Layout, data: NDArray[np.uint8], start: NDArray[np.int64],
-            shape: NDArray[np.int64], size: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _shares(layout: _Layout, data: NDArray[np.uint8], start: Ints,
+            shape: Ints, size: Ints) -> Mask:
     """Tell which messages have this layout, (n,) bool."""
     begin = shape + _SHAPE.itemsize
     same = size >= begin + len(layout.encoded)
@@ -219,8 +220,8 @@ def _shares(layout: _Layout, data: NDArray[np.uint8], start: NDArray[np.int64],
 
 
 def _read_points(layout: _Layout, order: ByteOrder, data: NDArray[np.uint8],
-                 start: NDArray[np.int64], shape: NDArray[np.int64], size: NDArray[np.int64],
-                 ) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+                 start: Ints, shape: Ints, size: Ints,
+                 ) -> tuple[Ints, NDArray[np.void]]:
     """Read the clouds of one layout: points in each, (n,), and the points end to end."""
     height, width = _columns(gather(data, start + shape, _SHAPE.newbyteorder(order)))
     tail = shape + _SHAPE.itemsize + len(layout.encoded)
@@ -250,12 +251,12 @@ def _read_points(layout: _Layout, order: ByteOrder, data: NDArray[np.uint8],
     return counts, gather(data, position, layout.point)
 
 
-def _columns(table: NDArray[np.void]) -> list[NDArray[np.int64]]:
+def _columns(table: NDArray[np.void]) -> list[Ints]:
     return [table[name].astype(np.int64) for name in table.dtype.names or ()]
 
 
-def _assemble(stamp_ns: NDArray[np.int64], counts: NDArray[np.int64],
-              parts: list[tuple[NDArray[np.int64], NDArray[np.void]]]) -> Frames:
+def _assemble(stamp_ns: Ints, counts: Ints,
+              parts: list[tuple[Ints, NDArray[np.void]]]) -> Frames:
     """Put the points of every layout at the places of their messages."""
     first = np.concatenate(([0], np.cumsum(counts)))
     columns = {name: np.empty(first[-1]) for name in ('u', 'v', 'sigma', 'magnitude')}

@@ -11,13 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, Detector
-from starcal_ros.filter.error_state import N_STATES, PSI, STATE_NAMES, Belief
-
-Array = NDArray[np.float64]
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.states import N_STATES, PSI, STATE_NAMES
 
 INERTIAL_FRAME, GYRO_FRAME, OPTICAL_FRAME = 'icrf', 'gyro', 'star_tracker_optical'
 C_os = np.diag([-1.0, -1.0, 1.0])

@@ -12,9 +12,9 @@ from starcal_ros.imaging.spot_meter import SpotMeter
 from starcal_ros.messages import cdr_pointcloud
 from starcal_ros.messages.cdr_image import ImageMessageError, decode_image
 from starcal_ros.nodes.base import run_loop
-from starcal_ros.nodes.base.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
-                                         when_subscribed)
+from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
 from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.base.tally import Tally
 
 _AT_ONCE = 4            # images: each has a megapixel and takes some 30 ms

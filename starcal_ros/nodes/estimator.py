@@ -14,11 +14,12 @@ from std_srvs.srv import SetBool, Trigger
 from starcal_ros import __version__
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.messages import cdr, cdr_pointcloud
+from starcal_ros.messages import cdr_imu, cdr_pointcloud
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
-from starcal_ros.nodes.base.flow import MatchedSubscription, when_subscribed
+from starcal_ros.nodes.base.flow_publisher import when_subscribed
 from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
 from starcal_ros.nodes.estimator_results import Results
 from starcal_ros.results import initial, result
@@ -90,7 +91,7 @@ class Estimator(ManagedNode):
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         if self._enabled:
-            for part in decoded(batch, cdr.decode_imu, self._drop):
+            for part in decoded(batch, cdr_imu.decode_imu, self._drop):
                 self._stream.add_gyro(part)
             self._advance()
 

@@ -13,8 +13,8 @@ from rclpy.node import Node
 
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import PHI, STATE_NAMES, STATE_UNITS, UNIT
-from starcal_ros.nodes.base.flow import MatchedSubscription
+from starcal_ros.filter.states import PHI, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 
 _SILENCE_S = 3.0        # without a message before an input counts as silent
 

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64MultiArray
 from starcal_ros.filter.attitude_track import Track
 from starcal_ros.filter.calibrator import FrameResult, Stream
 from starcal_ros.nodes.base import ros_messages
-from starcal_ros.nodes.base.flow import PATIENCE_S, FlowPublisher, drain
+from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain
 
 try:
     from tf2_msgs.msg import TFMessage

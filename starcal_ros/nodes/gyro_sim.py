@@ -9,10 +9,10 @@ from typing import Any
 
 from sensor_msgs.msg import Imu
 
-from starcal_ros.messages import cdr
+from starcal_ros.messages import cdr_imu
 from starcal_ros.messages.conventions import GYRO_FRAME
 from starcal_ros.nodes.base import parameters, run_loop
-from starcal_ros.nodes.base.flow import FlowPublisher
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
 from starcal_ros.nodes.base.simulator import Simulator
 from starcal_ros.simulation import sensors
@@ -37,7 +37,7 @@ class GyroSim(Simulator):
             if part > self._told:
                 self._told = part
                 self.get_logger().info(f'{part} %')
-            messages = cdr.encode_imu(samples, GYRO_FRAME, self._simulator.rate_variance)
+            messages = cdr_imu.encode_imu(samples, GYRO_FRAME, self._simulator.rate_variance)
             for stamp_ns, message in zip(samples.stamp_ns.tolist(), messages):
                 yield stamp_ns, self._readings, message.tobytes()
 

@@ -17,11 +17,12 @@ from std_msgs.msg import Float64MultiArray
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.measurements.samples import Frames
-from starcal_ros.messages import cdr, cdr_pointcloud
+from starcal_ros.messages import cdr_imu, cdr_pointcloud
 from starcal_ros.nodes.base import ros_messages, run_loop
 from starcal_ros.nodes.base.decoding import decoded
-from starcal_ros.nodes.base.flow import FlowPublisher, MatchedSubscription, drain
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher, drain
 from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 
 _PERIOD_S = 1.0
 _SHARE = 0.2            # of the time that may go into answers
@@ -69,7 +70,7 @@ class IntrinsicsEstimator(ManagedNode):
             publisher.destroy()
 
     def _on_gyro(self, batch: list[bytes]) -> None:
-        for part in decoded(batch, cdr.decode_imu, self.get_logger().error):
+        for part in decoded(batch, cdr_imu.decode_imu, self.get_logger().error):
             self._method.add_gyro(part)
 
     def _on_frames(self, batch: list[bytes]) -> None:

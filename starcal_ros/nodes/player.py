@@ -26,10 +26,11 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import PlayerConfig
 from starcal_ros.core.units import NS
 from starcal_ros.messages.cdr import RecordError
+from starcal_ros.messages.topics import GYRO, STARS, TOPICS
 from starcal_ros.nodes.base import parameters, run_loop
-from starcal_ros.nodes.base.flow import FlowPublisher, when_subscribed
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
-from starcal_ros.nodes.base.topics import GYRO, STARS, TOPICS, message_type
+from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.recording.bag import Bag, Topic, open_bag
 
 _RESULTS = tuple('/' + topic.name.lstrip('/') for topic in TOPICS if topic.result)

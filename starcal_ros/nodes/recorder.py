@@ -23,12 +23,14 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config import parameter_file
+from starcal_ros.messages.topics import TOPICS
 from starcal_ros.nodes.base import run_loop
-from starcal_ros.nodes.base.flow import LATCHED, MatchedSubscription
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.topics import TOPICS, is_stamped, message_type, offered_qos
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
+from starcal_ros.nodes.base.qos import LATCHED, is_stamped, message_type, offered_qos
+from starcal_ros.recording.qos import Qos
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
-from starcal_ros.recording.writer import Batch, Qos, Writer
+from starcal_ros.recording.writer import Batch, Writer
 from starcal_ros.simulation.truth import VECTOR_SIZE, from_vector
 
 _TRUTH = 'truth/parameters'

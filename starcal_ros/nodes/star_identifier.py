@@ -13,18 +13,17 @@ from itertools import islice
 import time
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import Imu, PointCloud2
 
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core.arrays import Ints
 from starcal_ros.identification.frame_identifier import Numbering
-from starcal_ros.messages import cdr, cdr_pointcloud
+from starcal_ros.messages import cdr, cdr_imu, cdr_pointcloud
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
-from starcal_ros.nodes.base.flow import (PATIENCE_S, FlowPublisher, MatchedSubscription, drain,
-                                         when_subscribed)
+from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
 from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.base.tally import Tally
 
 _PATIENCE_S = 4.0       # of a frame, with the gyro: Fast DDS sends again what it lost after 3 s
@@ -90,7 +89,7 @@ class StarIdentifier(ManagedNode):
         self._stars.destroy()
 
     def _on_gyro(self, batch: list[bytes]) -> None:
-        for part in decoded(batch, cdr.decode_imu, self._drop):
+        for part in decoded(batch, cdr_imu.decode_imu, self._drop):
             self._numbering.add_gyro(part)
         self._advance()
 
@@ -112,7 +111,7 @@ class StarIdentifier(ManagedNode):
                                  or not self.inputs[0].publishers):
             self._publish(islice(self._numbering.process(wait=False), 1))
 
-    def _publish(self, numbers: Iterable[NDArray[np.int64]]) -> None:
+    def _publish(self, numbers: Iterable[Ints]) -> None:
         for number in numbers:
             message = self._waiting.popleft().cloud
             try:

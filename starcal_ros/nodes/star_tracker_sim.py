@@ -19,7 +19,7 @@ from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages import cdr_image, cdr_pointcloud
 from starcal_ros.nodes.base import parameters, ros_messages, run_loop
-from starcal_ros.nodes.base.flow import FlowPublisher
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
 from starcal_ros.nodes.base.simulator import Simulator
 from starcal_ros.simulation import sensors

@@ -17,12 +17,12 @@ from pathlib import Path, PurePath
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import parse_qos
 import yaml
 
+from starcal_ros.core.arrays import Ints
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.recording.mcap_reader import McapFile
 
@@ -68,11 +68,11 @@ class Bag(Protocol):
     def topics(self) -> list[Topic]:
         """Return the topics, sorted by name."""
 
-    def log_times(self, name: str) -> NDArray[np.int64]:
+    def log_times(self, name: str) -> Ints:
         """Return when the messages of a topic were recorded, in the order of the bag, (n,) ns."""
 
     def messages(self, names: Collection[str],
-                 ) -> Iterator[tuple[str, NDArray[np.int64], Messages, float]]:
+                 ) -> Iterator[tuple[str, Ints, Messages, float]]:
         """Read the messages of some topics in batches, in the order of the bag.
 
         Yields
@@ -155,12 +155,12 @@ class _McapBag:
                     len(part.log_times(channel.id))))
         return [_merge(merged[name]) for name in sorted(merged)]
 
-    def log_times(self, name: str) -> NDArray[np.int64]:
+    def log_times(self, name: str) -> Ints:
         return np.concatenate([part.log_times(channel.id) for part in self._parts
                                for channel in part.channels.values() if channel.topic == name])
 
     def messages(self, names: Collection[str],
-                 ) -> Iterator[tuple[str, NDArray[np.int64], Messages, float]]:
+                 ) -> Iterator[tuple[str, Ints, Messages, float]]:
         n_bytes = sum(len(part.data) for part in self._parts)
         before = 0
         for part in self._parts:
@@ -193,12 +193,12 @@ class _OtherBag:
                     connection.msgcount))
         return [_merge(topics[name]) for name in sorted(topics)]
 
-    def log_times(self, name: str) -> NDArray[np.int64]:
+    def log_times(self, name: str) -> Ints:
         return np.concatenate([np.empty(0, np.int64)]
                               + [log_time for _, log_time, _, _ in self.messages([name])])
 
     def messages(self, names: Collection[str],
-                 ) -> Iterator[tuple[str, NDArray[np.int64], Messages, float]]:
+                 ) -> Iterator[tuple[str, Ints, Messages, float]]:
         with self._reader() as reader:
             wanted = [c for c in reader.connections if c.topic in names]
             for k, connection in enumerate(wanted):

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
+from starcal_ros.core.arrays import Ints
 from starcal_ros.messages.cdr import Messages, RecordError, gather
 
 MESSAGE_HEAD = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
@@ -117,7 +118,7 @@ def scan(raw: bytes | memoryview) -> tuple[Index, list[tuple[int, bytes | memory
 
 
 def locate(channel: int, indices: Sequence[Index], data: NDArray[np.uint8],
-           edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], Messages] | None:
+           edges: Ints) -> tuple[Ints, Messages] | None:
     """Find the messages of a channel in decompressed chunks.
 
     Parameters

@@ -24,6 +24,7 @@ from mcap.records import Attachment, Channel, Schema, Statistics
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Ints
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.recording.mcap_chunk import NO_ENTRIES, RECORD, Chunk, locate, scan
 
@@ -77,13 +78,13 @@ class McapFile:
         """What is wrong with the file, so far as it has been read."""
         return tuple(self._warnings)
 
-    def log_times(self, channel: int) -> NDArray[np.int64]:
+    def log_times(self, channel: int) -> Ints:
         """Return the log times of a channel in the order of the file, (n,) ns."""
         entries = [chunk.index.get(channel, NO_ENTRIES) for chunk in self._chunks]
         return np.concatenate([NO_ENTRIES, *entries])[:, 0].astype(np.int64)
 
     def messages(self, channels: Collection[int],
-                 ) -> Iterator[tuple[int, NDArray[np.int64], Messages]]:
+                 ) -> Iterator[tuple[int, Ints, Messages]]:
         """Read the messages of some channels, a few megabytes at a time.
 
         Yields
@@ -111,7 +112,7 @@ class McapFile:
 
     def _read_group(self, group: list[Chunk], raws: list[bytes | memoryview],
                     channels: Collection[int],
-                    ) -> Iterator[tuple[int, NDArray[np.int64], Messages]]:
+                    ) -> Iterator[tuple[int, Ints, Messages]]:
         """Gather the messages of some channels from a few decompressed chunks."""
         data = np.frombuffer(raws[0] if len(raws) == 1 else b''.join(raws), np.uint8)
         edges = np.cumsum([0, *map(len, raws)])

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
+from starcal_ros.core.arrays import Ints
 from starcal_ros.recording.mcap_chunk import MESSAGE_HEAD, RECORD
 from starcal_ros.recording.mcap_reader import MAGIC
 
@@ -82,7 +83,7 @@ class McapWriter:
         self._records += data
         self._counts[channel] += 1
 
-    def add_rows(self, channel: int, log_time_ns: NDArray[np.int64],
+    def add_rows(self, channel: int, log_time_ns: Ints,
                  rows: NDArray[np.uint8]) -> None:
         """Write messages of equal length that belong to one second of log time.
 

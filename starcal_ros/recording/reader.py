@@ -18,9 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.messages.cdr import IMU_TYPE, Messages, RecordError, decode_imu
+from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_image import IMAGE_TYPE
+from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, decode_centroids
 from starcal_ros.recording.bag import Bag, Topic, open_bag
 
@@ -140,7 +142,7 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
                   else None)
     frames_topic, decode = _frames_topic(topics, path, measure, images_first)
     chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
-    times: dict[str, list[NDArray[np.int64]]] = {topic.name: [] for topic in chosen}
+    times: dict[str, list[Ints]] = {topic.name: [] for topic in chosen}
     gyro_parts, frames_parts = [], []
     for name, log_time, messages, done in bag.messages(times):
         try:
@@ -231,17 +233,17 @@ def _choose(topics: list[Topic], wanted: str, wanted_type: str, path: Path) -> T
     return topic
 
 
-def _arrange_gyro(gyro: GyroSamples, times: list[NDArray[np.int64]]) -> GyroSamples:
+def _arrange_gyro(gyro: GyroSamples, times: list[Ints]) -> GyroSamples:
     order = _order(times)
     return gyro if order is None else GyroSamples(gyro.stamp_ns[order], gyro.rate[order])
 
 
-def _arrange_frames(frames: Frames, times: list[NDArray[np.int64]]) -> Frames:
+def _arrange_frames(frames: Frames, times: list[Ints]) -> Frames:
     order = _order(times)
     return frames if order is None else frames.take(order)
 
 
-def _order(times: list[NDArray[np.int64]]) -> NDArray[np.intp] | None:
+def _order(times: list[Ints]) -> NDArray[np.intp] | None:
     """Return the order of recording, None where it is that of the file already."""
     log_time = np.concatenate([np.empty(0, np.int64), *times])
     if (np.diff(log_time) >= 0).all():

@@ -21,45 +21,13 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.messages.cdr import IMU_TYPE, RecordError, encode_imu
+from starcal_ros.messages.cdr import RecordError
+from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
 from starcal_ros.recording.mcap_writer import CHUNK_NS, McapWriter
-
-ENDLESS_NS = 2**63 - 1
-"""A duration without end, as ROS 2 writes it."""
-
-
-@dataclass(frozen=True)
-class Qos:
-    """What a publisher offers: the nine policies of ROS 2."""
-
-    history: str = 'keep_last'
-    depth: int = 100
-    reliability: str = 'reliable'
-    durability: str = 'volatile'
-    deadline_ns: int = ENDLESS_NS
-    lifespan_ns: int = ENDLESS_NS
-    liveliness: str = 'automatic'
-    liveliness_lease_duration_ns: int = ENDLESS_NS
-    avoid_ros_namespace_conventions: bool = False
-
-    @property
-    def profile(self) -> str:
-        """All policies as rosbag2 records them, YAML."""
-        def duration(ns: int) -> str:
-            return '{sec: %d, nsec: %d}' % divmod(ns, 10**9)
-        return (f'- history: {self.history}\n  depth: {self.depth}\n'
-                f'  reliability: {self.reliability}\n  durability: {self.durability}\n'
-                f'  deadline: {duration(self.deadline_ns)}\n'
-                f'  lifespan: {duration(self.lifespan_ns)}\n  liveliness: {self.liveliness}\n'
-                '  liveliness_lease_duration: '
-                f'{duration(self.liveliness_lease_duration_ns)}\n'
-                '  avoid_ros_namespace_conventions: '
-                f'{str(self.avoid_ros_namespace_conventions).lower()}')
-
-
-LATCHED = Qos(depth=1, durability='transient_local')
+from starcal_ros.recording.qos import Qos
 
 
 @dataclass(frozen=True)
@@ -80,7 +48,7 @@ class Batch:
 
     topic: str
     type_name: str
-    log_time_ns: NDArray[np.int64]
+    log_time_ns: Ints
     messages: NDArray[np.uint8] | Sequence[bytes]
     qos: tuple[Qos, ...] = (Qos(),)
 

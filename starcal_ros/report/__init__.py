@@ -8,11 +8,11 @@ calibration on one page of HTML (`html`), `plate_page` that of still images: `ti
 charts over time, `detector_charts` those over the detector and of the residuals.
 """
 
-from starcal_ros.report.cameras import camera, chain, plates
+from starcal_ros.report.cameras import camera, chain, still_images
 from starcal_ros.report.convergence import figure
 from starcal_ros.report.published import draw, published
 from starcal_ros.report.states import rows, summary, table
 from starcal_ros.report.study import study
 
-__all__ = ['camera', 'chain', 'draw', 'figure', 'plates', 'published', 'rows', 'study', 'summary',
-           'table']
+__all__ = ['camera', 'chain', 'draw', 'figure', 'published', 'rows', 'still_images', 'study',
+           'summary', 'table']

@@ -49,7 +49,7 @@ def chain(steps: list[dict[str, Any]], truth: dict[str, Any] | None, title: str)
     return out
 
 
-def plates(result: dict[str, Any], title: str) -> Table:
+def still_images(result: dict[str, Any], title: str) -> Table:
     """Return the camera of still images in OpenCV's model, with the residuals that it leaves."""
     out = _table(title, ('parameter', 'unit', 'estimate', 'sigma'))
     counts, heldout = result['counts'], result['heldout_rms_px']

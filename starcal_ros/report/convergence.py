@@ -7,9 +7,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from starcal_ros.calibration.methods.predicted_centroid import History
 from starcal_ros.core.units import NS
-from starcal_ros.filter.error_state import CALIBRATED, UNIT
+from starcal_ros.filter.offline import History
+from starcal_ros.filter.states import CALIBRATED, UNIT
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
 
 

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 import plotly.graph_objects as go
 from scipy.stats import norm
 
-from starcal_ros.calibration.methods.predicted_centroid import Residuals
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
+from starcal_ros.filter.offline import Residuals
 from starcal_ros.report.chart import RED, Chart, chart
-
-Array = NDArray[np.float64]
 
 CELLS = 16
 """Cells of the map of residuals, along each side of the detector."""

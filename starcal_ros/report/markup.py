@@ -15,8 +15,8 @@ from plotly.offline import get_plotlyjs
 
 from starcal_ros.report.chart import Chart
 
-_POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-           "img-src data: blob:; base-uri 'none'; form-action 'none'")
+POLICIES = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+            "img-src data: blob:; base-uri 'none'; form-action 'none'")
 
 
 def document(title: str, *sections: str) -> str:
@@ -28,7 +28,7 @@ def document(title: str, *sections: str) -> str:
 <html lang="en">
 <head>
 <meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
+<meta http-equiv="Content-Security-Policy" content="{POLICIES}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
 <title>{escape(title)}</title>

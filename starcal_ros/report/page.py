@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from starcal_ros.calibration.methods.predicted_centroid import History
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.filter.offline import History
 from starcal_ros.filter.verdict import NAMES, Verdict, advice
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
@@ -192,5 +192,5 @@ def _provenance(calibration: Calibration) -> str:
         f'<pre>{escape(parameter_file.dump(calibration.scenario))}</pre></details>')
 
 
-def _camera(side: dict[str, Any]) -> NDArray[np.float64]:
+def _camera(side: dict[str, Any]) -> Array:
     return np.array([side['intrinsics'][key] for key in INTRINSICS_KEYS])

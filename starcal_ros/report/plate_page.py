@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros.calibration.methods.predicted_centroid import Residuals
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector
+from starcal_ros.filter.offline import Residuals
 from starcal_ros.report import detector_charts
 from starcal_ros.report.cameras import entry
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
-from starcal_ros.workflows.still_images.calibration import KEYS, PlateCamera, Refit
+from starcal_ros.workflows.still_images.calibration import Refit, StillImageCamera
+from starcal_ros.workflows.still_images.opencv_camera import KEYS
 
 
-def write_plate_page(path: str | Path, found: PlateCamera, outcome: dict[str, Any],
+def write_plate_page(path: str | Path, found: StillImageCamera, outcome: dict[str, Any],
                      notices: list[str]) -> None:
     """Write the report of a camera.
 
@@ -27,7 +28,7 @@ def write_plate_page(path: str | Path, found: PlateCamera, outcome: dict[str, An
     ----------
     path : path
         HTML file.
-    found : PlateCamera
+    found : StillImageCamera
     outcome : dict
         Its result as written, with ``method``, ``source`` and, by name, ``left_out`` images.
     notices : list of str
@@ -53,7 +54,7 @@ def _camera(outcome: dict[str, Any]) -> str:
               [entry(outcome, key) for key in outcome['parameters']]))
 
 
-def _images(found: PlateCamera) -> list[str]:
+def _images(found: StillImageCamera) -> list[str]:
     sections = [_residuals('fit', 'Images fitted', found.fit, found)]
     if found.heldout is not None:
         sections.append(_residuals('heldout', 'Images held out', found.heldout, found))
@@ -67,7 +68,7 @@ def _left_out(outcome: dict[str, Any]) -> list[str]:
             ] if reasons else []
 
 
-def _residuals(name: str, title: str, refit: Refit, found: PlateCamera) -> str:
+def _residuals(name: str, title: str, refit: Refit, found: StillImageCamera) -> str:
     spots, adjusted = refit.spots, refit.adjusted
     pixels = detector(found.scenario.camera)
     stars = Residuals(spots.uv + pixels.centre_raster, adjusted.residual, adjusted.used,
@@ -87,7 +88,7 @@ def _residuals(name: str, title: str, refit: Refit, found: PlateCamera) -> str:
                 *detector_charts.residual_histograms(stars)]))
 
 
-def _distortion(found: PlateCamera) -> str:
+def _distortion(found: StillImageCamera) -> str:
     return section(
         'distortion', 'Distortion',
         paragraph('How far the lens moves the image of a star from where a pinhole has it.'),

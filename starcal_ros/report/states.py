@@ -8,16 +8,14 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
-from starcal_ros.calibration.methods.predicted_centroid import History
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC
-from starcal_ros.filter.error_state import CALIBRATED, EPSILON, UNIT
-
-Array = NDArray[np.float64]
+from starcal_ros.filter.offline import History
+from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
 
 LABELS = ('ε_x', 'ε_y', 'ε_z', 'Ψ_x', 'Ψ_y', 'Ψ_z', 'u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
 _ANGLE = '°, ″'         # the value in degrees, its error and sigma in arcsec

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 import plotly.graph_objects as go
 from scipy.stats import chi2
 
-from starcal_ros.calibration.methods.predicted_centroid import History
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
-from starcal_ros.filter.error_state import CALIBRATED, STATE_NAMES, UNIT
+from starcal_ros.filter.offline import History
+from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, UNIT
 from starcal_ros.report.chart import BLUE, GREY, PALE, RED, Chart, chart
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
-
-Array = NDArray[np.float64]
 
 POINTS = 2000
 """Points of a curve, at most."""
@@ -77,7 +76,7 @@ def minutes(history: History) -> Array:
     return (history.stamp_ns - history.stamp_ns[0]) * NS / 60.0
 
 
-def thinned(n: int) -> NDArray[np.int64]:
+def thinned(n: int) -> Ints:
     """Return POINTS of the rows 0 to n - 1, evenly spread, or all of fewer."""
     return np.unique(np.linspace(0, n - 1, min(n, POINTS)).round().astype(np.int64))
 

@@ -20,12 +20,11 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG, DEG_PER_HOUR
-from starcal_ros.filter.error_state import N_STATES, STATE_NAMES, UNIT
+from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
 from starcal_ros.messages.conventions import STATE_LAYOUT
 from starcal_ros.report.states import LABELS, UNITS, Row, short
-
-Array = NDArray[np.float64]
 
 STATE_SIZE = sum(size for _, size in STATE_LAYOUT)
 """Length of the data of ``starcal/state``."""

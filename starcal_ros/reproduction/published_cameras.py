@@ -35,12 +35,10 @@ direction in o, the functions here take and give it in s, and r_o = Rz(180 deg) 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, Detector
-
-Array = NDArray[np.float64]
 
 W19_PARAMETERS = ('s', 'f', 'u0', 'v0', 'k1', 'k2')
 S24_PARAMETERS = ('x0', 'y0', 'f')

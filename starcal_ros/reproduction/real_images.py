@@ -13,7 +13,7 @@ import os
 from pathlib import Path
 
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.workflows.still_images.calibration import Plates, read_centroids
+from starcal_ros.workflows.still_images.table import StillImages, read_centroids
 
 VARIABLE = 'STARCAL_REAL_SKY'
 """Environment variable that says where the folder is."""
@@ -52,7 +52,7 @@ def folder() -> Path:
     return Path(os.environ.get(VARIABLE, '../shared/data/real_sky'))
 
 
-def stars(images: ImageSet) -> Plates:
+def stars(images: ImageSet) -> StillImages:
     """Return the identified stars of a set.
 
     Raises

@@ -28,14 +28,12 @@ from time import process_time
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration import interstar_equations as interstar
 from starcal_ros.calibration.interstar_complete import normal_equations
 from starcal_ros.core import camera, rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation.montecarlo import complete
-
-Array = NDArray[np.float64]
 
 METHODS = ('TCOC', 'TCWC', 'SCOC', 'SCWC')
 """Traditional or self-calibration, without or with the constraint of the optical path."""

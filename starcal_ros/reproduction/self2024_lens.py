@@ -15,16 +15,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration import interstar_equations as interstar
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.evaluation.montecarlo import complete
 from starcal_ros.reproduction.self2024 import (LARGEST, PINHOLE, PITCH_MM, START, STEPS, Point,
                                                scenes)
-
-Array = NDArray[np.float64]
 
 ESTIMATORS = ('SCWC pinhole', 'SCWC + k1', 'SCOC unbiased + k1')
 LARGEST_K1 = np.append(LARGEST, 1e-3)

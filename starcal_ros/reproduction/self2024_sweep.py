@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Array
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.self2024 import NOTES, RESULTS, UNIT, Point, bound, run
-
-Array = NDArray[np.float64]
 
 STARS = (20, 60, 100)
 VALUES: dict[str, tuple[float, ...]] = {'sigma_px': (0.01, 0.03, 0.1, 0.2, 0.5),

@@ -31,15 +31,16 @@ from numpy.typing import NDArray
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.evaluation import batch, bounds, montecarlo
 from starcal_ros.evaluation.batch import Step
+from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import REPROJECTION_S
-from starcal_ros.filter.error_state import STATE_NAMES, Belief, Filter
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.filter.verdict import equivalent_sigma
 from starcal_ros.simulation.truth import Truth
-
-Array = NDArray[np.float64]
 
 RUNS = 10               # share the work of a frame: ten take three times as long as one
 SAMPLES = 720           # of a run: of two hours, one in 10 s
@@ -48,7 +49,7 @@ HELD_OUT = 5            # one star in so many
 _BOUNDS = 13            # times of the second half: one in five minutes of an hour
 
 _U0, _V0, _PSI_X, _PSI_Y = (STATE_NAMES.index(name) for name in ('u0', 'v0', 'psi_x', 'psi_y'))
-_Residuals = tuple[NDArray[np.int64], Array, Array]
+_Residuals = tuple[Ints, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -85,14 +86,14 @@ class Traces:
     equivalent_sigma: Array
     coupling: Array
     drift: Array
-    run: NDArray[np.int64]
+    run: Ints
     stamp: Array
     residual: Array
     variance: Array
-    held_out: NDArray[np.bool_]
+    held_out: Mask
 
     @property
-    def second_half(self) -> NDArray[np.bool_]:
+    def second_half(self) -> Mask:
         """Which samples lie in the second half, T18's second hour, (m,)."""
         return self.time >= 0.5 * self.time[-1]
 
@@ -165,7 +166,7 @@ def _residuals(filter_: Filter, step: Step) -> tuple[_Residuals, _Residuals]:
                       + _variance(filter_, without.belief, stars.u_i), held))
 
 
-def _selected(residual: Array, variance: Array, which: NDArray[np.bool_]) -> _Residuals:
+def _selected(residual: Array, variance: Array, which: Mask) -> _Residuals:
     return np.nonzero(which)[0], residual[which], variance[which]
 
 

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from starcal_ros.calibration import attitude_free
@@ -25,13 +24,12 @@ from starcal_ros.calibration.attitude_free import Belief, Measurement
 from starcal_ros.calibration.invariants import Lens
 from starcal_ros.calibration.methods import angular_distance, singular_value
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.reproduction import published_cameras
 from starcal_ros.sky import catalog
-
-Array = NDArray[np.float64]
 
 DETECTOR = Detector(1920, 1080, 0.0029)
 TRUTH = np.array([1.0, 16.0, 970.0, 550.0, -0.5, 0.5])

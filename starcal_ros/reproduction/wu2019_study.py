@@ -8,18 +8,17 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration import attitude_free
 from starcal_ros.calibration.attitude_free import Belief, Measurement
 from starcal_ros.calibration.methods.singular_value import MIN_STARS
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import consistency
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.reproduction import wu2019
 from starcal_ros.reproduction.wu2019 import LENS, TRUTH, Group, Sky
 
-Array = NDArray[np.float64]
 Row = tuple[str | float, ...]
 
 HEAD = ('case', 'quantity', 'unit', 'paper', 'published', 'full', 'bound', 'ratio')

@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 import yaml
 
 from starcal_ros.config.models import detector
@@ -23,8 +22,6 @@ from starcal_ros.core import rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR
 from starcal_ros.messages import conventions
-
-Array = NDArray[np.float64]
 
 _CAMERA, _IMAGES, _IMU = 'star_tracker', '/star_tracker/image_raw', '/imu/data_raw'
 

@@ -14,19 +14,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
-from starcal_ros.filter.error_state import CALIBRATED, N_STATES
+from starcal_ros.filter.states import CALIBRATED, N_STATES
 from starcal_ros.results import export
 from starcal_ros.results.result import CalibrationError, dumps
 from starcal_ros.results.store import Archive
-
-Array = NDArray[np.float64]
 
 RESULT, CONFIG = 'result.json', 'config.yaml'
 

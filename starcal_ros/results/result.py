@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 import starcal_ros
-from starcal_ros.calibration.camera_estimate import CameraEstimate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter import augmentation
+from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import CALIBRATED, EPSILON, LENS, PSI, UNIT, Belief
+from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
 from starcal_ros.recording.reader import Recording
 
 
@@ -132,5 +134,5 @@ def write_json(path: str | Path, values: dict[str, Any]) -> None:
         raise CalibrationError(f'{path}: cannot be written: {error.strerror}') from None
 
 
-def _named(values: np.typing.NDArray[np.float64]) -> dict[str, float]:
+def _named(values: Array) -> dict[str, float]:
     return dict(zip(INTRINSICS_KEYS, values.tolist()))

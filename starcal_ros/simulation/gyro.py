@@ -24,6 +24,7 @@ import numpy as np
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Ints
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR, NS
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation.errors.gyro_scale import scale_error
@@ -59,7 +60,7 @@ class GyroSimulator:
         """Variance of the noise of a reading, each axis, as believed [rad^2/s^2]."""
         return self._stated_walk**2 / (self._period_ns * NS)
 
-    def stamp_ns(self, index: np.typing.ArrayLike) -> np.typing.NDArray[np.int64]:
+    def stamp_ns(self, index: np.typing.ArrayLike) -> Ints:
         """Return the stamp of the reading with an index from 0: the end of its interval."""
         steps = np.rint((np.asarray(index) + 1) * self._period_ns).astype(np.int64)
         return self._truth.motion.start_ns + steps

@@ -13,12 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.scenario import Scenario, stamp_ns
 from starcal_ros.core import rotation
-
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array, Ints
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class Motion:
                    acceleration, rate, np.stack(C_ig[:-1]),
                    rotation.log(C_ig[-1] @ C_ig[0].T))
 
-    def attitude(self, stamps_ns: NDArray[np.int64]) -> Array:
+    def attitude(self, stamps_ns: Ints) -> Array:
         """Return C_ig, (n, 3, 3), the orientation of the gyro in icrf, at each stamp."""
         t = (stamps_ns - self.start_ns) * 1e-9
         cycle, tau = np.divmod(t, self.begin[-1])
@@ -82,7 +80,7 @@ class Motion:
         C_ig = self.C_ig[step] @ rotation.exp(self.axis[step] * turned[:, None])
         return rotation.exp(cycle[:, None] * self.turn) @ C_ig
 
-    def _turned(self, step: NDArray[np.int64], t: Array) -> Array:
+    def _turned(self, step: Ints, t: Array) -> Array:
         """Return the angle turned, (n,), a time t after a rotation began [rad]."""
         size = np.abs(self.angle[step])
         peak = np.minimum(self.rate, np.sqrt(size * self.acceleration))

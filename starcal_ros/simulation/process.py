@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Process:
     step: float
     value: Array
 
-    def at(self, stamps_ns: NDArray[np.int64]) -> Array:
+    def at(self, stamps_ns: Ints) -> Array:
         """Return the values, (n, 3), at each stamp."""
         grid = self.step * np.arange(len(self.value))
         t = (stamps_ns - self.origin_ns) * NS

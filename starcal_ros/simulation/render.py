@@ -27,13 +27,13 @@ from numpy.typing import NDArray
 from starcal_ros.config.image import ImageConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import psf
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
 from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.star_view import StarView
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky.catalog import Catalog
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint16]
 
 _REACH = 5.0            # sigmas of the spot that are drawn: all but 1e-6 of its light

@@ -16,9 +16,9 @@ its noise, `misidentification` and then `hot_pixels` work on the finished frame.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.errors.hot_pixels import HotPixels
@@ -72,7 +72,7 @@ class StarTrackerSimulator:
     def truth(self, truth: Truth) -> None:
         self._view.truth = truth
 
-    def stamp_ns(self, index: np.typing.ArrayLike) -> NDArray[np.int64]:
+    def stamp_ns(self, index: np.typing.ArrayLike) -> Ints:
         """Return the stamp of the frame with an index from 0: the middle of its exposure."""
         steps = np.rint(np.asarray(index) * self._period_ns).astype(np.int64)
         return self.truth.motion.start_ns + steps
@@ -85,7 +85,7 @@ class StarTrackerSimulator:
         return Frames.concatenate([self._observe(stamps[k:k + _BATCH])
                                    for k in range(0, len(stamps), _BATCH)])
 
-    def _observe(self, stamps_ns: NDArray[np.int64]) -> Frames:
+    def _observe(self, stamps_ns: Ints) -> Frames:
         middle_ns = stamps_ns - self._late_ns
         frame, star, u_i = self._view.near(middle_ns)
         if self._smear:

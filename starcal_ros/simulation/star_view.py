@@ -6,18 +6,17 @@ from __future__ import annotations
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky.apparent import apparent_places
 from starcal_ros.sky.catalog import Catalog
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = Ints
 
 _MARGIN = 1e-3          # rad, more than aberration and proper motion move a star
 

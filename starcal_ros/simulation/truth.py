@@ -12,19 +12,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.models import detector, intrinsics, mounting_matrix
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import INTRINSICS_KEYS, Detector
 from starcal_ros.core.units import DEG_PER_HOUR
 from starcal_ros.simulation.errors.bias_walk import bias_walk
 from starcal_ros.simulation.errors.mounting_drift import mounting_drift
 from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.process import Process
-
-Array = NDArray[np.float64]
 
 VECTOR_LABEL = ('gyro_bias_rad_s[3] fixed_angles_rad[3] u0_px v0_px f_mm k1_mm-2 k2_mm-4 p1_mm-1 '
                 'p2_mm-1')
@@ -72,18 +70,18 @@ class Truth:
                    mounting_matrix(truth.mounting if given else scenario.mounting),
                    np.array(bias) * DEG_PER_HOUR, mounting_drift(scenario), bias_walk(scenario))
 
-    def bias_at(self, stamps_ns: NDArray[np.int64]) -> Array:
+    def bias_at(self, stamps_ns: Ints) -> Array:
         """Return the gyro bias, (n, 3), in g at each stamp [rad/s]."""
         walked = 0.0 if self.walk is None else self.walk.at(stamps_ns)
         return np.broadcast_to(self.bias + walked, (len(stamps_ns), 3))
 
-    def mounting_at(self, stamps_ns: NDArray[np.int64]) -> Array:
+    def mounting_at(self, stamps_ns: Ints) -> Array:
         """Return C_sg, (n, 3, 3), at each stamp."""
         if self.drift is None:
             return np.broadcast_to(self.C_sg, (len(stamps_ns), 3, 3))
         return rotation.exp(self.drift.at(stamps_ns)) @ self.C_sg
 
-    def attitude_si(self, stamps_ns: NDArray[np.int64]) -> Array:
+    def attitude_si(self, stamps_ns: Ints) -> Array:
         """Return C_si, (n, 3, 3), of the star tracker at each stamp."""
         return self.mounting_at(stamps_ns) @ np.swapaxes(self.motion.attitude(stamps_ns), -1, -2)
 

@@ -10,17 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Ints
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME, camera_info
+from starcal_ros.recording.qos import LATCHED
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
-from starcal_ros.recording.writer import (LATCHED, Batch, Writer, centroids_batch, imu_batch,
-                                          serialize, typestore)
+from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
+                                          typestore)
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.render import ImageSimulator
 from starcal_ros.simulation.truth import VECTOR_LABEL, Truth
@@ -99,12 +100,12 @@ def _latched(scenario: Scenario, truth: Truth) -> list[Batch]:
                 ('/truth/parameters', 'std_msgs/msg/Float64MultiArray', parameters))]
 
 
-def _images(stamps_ns: NDArray[np.int64], renderer: ImageSimulator) -> Batch:
+def _images(stamps_ns: Ints, renderer: ImageSimulator) -> Batch:
     return Batch('/star_tracker/image_raw', IMAGE_TYPE, stamps_ns, [
         encode_image(stamp_ns, renderer.image(stamp_ns)) for stamp_ns in stamps_ns.tolist()])
 
 
-def _attitude(stamps_ns: NDArray[np.int64], truth: Truth) -> Batch:
+def _attitude(stamps_ns: Ints, truth: Truth) -> Batch:
     type_name, types = 'geometry_msgs/msg/QuaternionStamped', typestore().types
     quaternions = rotation.to_quaternion(truth.motion.attitude(stamps_ns)).tolist()
     messages = [

@@ -38,8 +38,9 @@ from functools import cache
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.sky.catalog import Catalog
 
@@ -98,8 +99,8 @@ class Observer:
         """Angular rate along the orbit, sqrt(GM / r^3) [rad/s]."""
         return float(np.sqrt(GM_EARTH / self.radius ** 3))
 
-    def geocentric_state(self, stamp_ns: ArrayLike) -> tuple[NDArray[np.float64],
-                                                             NDArray[np.float64]]:
+    def geocentric_state(self, stamp_ns: ArrayLike) -> tuple[Array,
+                                                             Array]:
         """Return position and velocity relative to the Earth's centre.
 
         Parameters
@@ -135,8 +136,8 @@ class Observer:
         return self.radius * radial, self.radius * self.mean_motion * along
 
 
-def apparent_places(catalog: Catalog, rows: NDArray[np.int64], stamp_ns: ArrayLike,
-                    counts: ArrayLike, observer: Observer) -> NDArray[np.float64]:
+def apparent_places(catalog: Catalog, rows: Ints, stamp_ns: ArrayLike,
+                    counts: ArrayLike, observer: Observer) -> Array:
     """Return where the observer sees the stars of one or many frames.
 
     Parameters
@@ -183,7 +184,7 @@ def apparent_places(catalog: Catalog, rows: NDArray[np.int64], stamp_ns: ArrayLi
     return np.asarray(erfa.ab(u_i, v_over_c, sun_distance_au, inverse_gamma))
 
 
-def tt_julian_date(stamp_ns: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def tt_julian_date(stamp_ns: ArrayLike) -> tuple[Array, Array]:
     """Return the Julian date in TT, in two parts to keep the nanoseconds.
 
     Parameters
@@ -200,7 +201,7 @@ def tt_julian_date(stamp_ns: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np
     return _JD_1970 + day, rest_ns / _DAY_NS
 
 
-def tai_ns(stamp_ns: ArrayLike) -> NDArray[np.int64]:
+def tai_ns(stamp_ns: ArrayLike) -> Ints:
     """Return TAI since 1970-01-01 TAI of UTC stamps [ns]: a count without gaps or repetition.
 
     Parameters
@@ -215,7 +216,7 @@ def tai_ns(stamp_ns: ArrayLike) -> NDArray[np.int64]:
 
 
 @cache
-def _leap_seconds() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _leap_seconds() -> tuple[Ints, Ints]:
     """Return when each TAI - UTC came into force, from 1972, and its value, both in ns."""
     table = erfa.leap_seconds.get()
     table = table[table['year'] >= 1972]

@@ -26,6 +26,8 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from starcal_ros.core.arrays import Array, Ints
+
 SHIPPED_LIMIT = 8.0
 """Hp magnitude of the faintest star shipped."""
 
@@ -60,18 +62,18 @@ class Catalog:
         Hp magnitude.
     """
 
-    hip: NDArray[np.int64]
-    ra: NDArray[np.float64]
-    dec: NDArray[np.float64]
-    pm_ra: NDArray[np.float64]
-    pm_dec: NDArray[np.float64]
-    parallax_arcsec: NDArray[np.float64]
-    magnitude: NDArray[np.float64]
+    hip: Ints
+    ra: Array
+    dec: Array
+    pm_ra: Array
+    pm_dec: Array
+    parallax_arcsec: Array
+    magnitude: Array
 
     def __len__(self) -> int:
         return len(self.hip)
 
-    def rows(self, hip: ArrayLike) -> NDArray[np.int64]:
+    def rows(self, hip: ArrayLike) -> Ints:
         """Return the row of each Hipparcos number, -1 where it is not in the catalogue.
 
         Parameters

@@ -27,11 +27,10 @@ from dataclasses import dataclass
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from starcal_ros.core.arrays import Array
 from starcal_ros.sky.apparent import tt_julian_date
-
-Array = NDArray[np.float64]
 
 LOWEST_DEG = 5.0
 """Altitude down to which refraction is known."""

@@ -23,24 +23,22 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros import calibration
-from starcal_ros.calibration.camera_estimate import CameraEstimate, CameraMethod, beginning
+from starcal_ros.calibration.method import CameraMethod
 from starcal_ros.calibration.methods import predicted_centroid
 from starcal_ros.calibration.methods.bundle import Bundle
-from starcal_ros.config.models import detector, observer
+from starcal_ros.config.models import detector, nominal_camera, observer
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import LENS
+from starcal_ros.filter.states import LENS
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identifier
 from starcal_ros.measurements.frame_rotations import turns as _turns
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import CalibrationError, no_attitude
-
-Array = NDArray[np.float64]
 
 FOCAL_ERROR = 0.1
 """Part of the focal length by which the nominal one may be wrong."""
@@ -112,7 +110,7 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     first, second, rest = frames[:n // 4], frames[n // 4:n // 2], frames[n // 2:]
     scenario = scenario.replace({'estimator.initial_sigma.focal_length_mm':
                                  FOCAL_ERROR * scenario.camera.focal_length_mm})
-    steps = [Step('nominal', beginning(scenario))]
+    steps = [Step('nominal', nominal_camera(scenario))]
     notices: list[str] = []
 
     def run(begun: CameraMethod, part: Frames) -> CameraEstimate | None:

@@ -30,15 +30,13 @@ Sources: W19 Sec. 4.1, Test 3 and its references 10 to 17.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration.attitude_free import AttitudeFree
-from starcal_ros.calibration.camera_estimate import CameraEstimate
 from starcal_ros.calibration.invariants import (Frame, Information, direction_slopes, directions,
                                                 information)
 from starcal_ros.config.scenario import Scenario
-
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera_estimate import CameraEstimate
 
 MIN_STARS = 2
 

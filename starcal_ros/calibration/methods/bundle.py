@@ -13,19 +13,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Spots, adjust
 from starcal_ros.calibration.bundle_start import attitudes, identified
-from starcal_ros.calibration.camera_estimate import CameraEstimate, beginning, with_camera
+from starcal_ros.config.models import nominal_camera, with_camera
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.measurements.samples import Frames, GyroSamples, newer
 from starcal_ros.measurements.spot_tracker import SpotTracker
 from starcal_ros.measurements.star_directions import Places, unmeasured
-
-Array = NDArray[np.float64]
 
 FRAMES = 400
 """Frames of spots without a name that are used, at most."""
@@ -64,7 +63,7 @@ class Bundle:
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
         self.misfit = np.inf
-        self._prior = beginning(scenario, known)
+        self._prior = nominal_camera(scenario, known)
         self._scenario = with_camera(scenario, self._prior.intrinsics)
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._gate = float(chi2.ppf(scenario.estimator.gate_probability, 2))

@@ -25,20 +25,18 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
-from starcal_ros.calibration.camera_estimate import CameraEstimate, beginning
 from starcal_ros.calibration.interstar_solver import Fit, Frame, Window, followed, identified
-from starcal_ros.config.models import detector
+from starcal_ros.config.models import detector, nominal_camera
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.units import NS
 from starcal_ros.measurements.samples import Frames, GyroSamples, newer
 from starcal_ros.measurements.spot_tracker import SpotTracker
 from starcal_ros.measurements.star_directions import Places, unmeasured
-
-Array = NDArray[np.float64]
 
 FRAMES, WINDOWS = 64, 400
 APART = 1.0 / 32.0
@@ -71,7 +69,7 @@ class Interstar:
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
         options, size = scenario.intrinsics, detector(scenario.camera)
-        nominal = beginning(scenario, known).intrinsics
+        nominal = nominal_camera(scenario, known).intrinsics
         estimated = [k for k, name in enumerate(camera.INTRINSICS) if name in options.estimate]
         if not estimated:
             raise ConfigError('intrinsics.estimate: got nothing, needs one intrinsic at least')

@@ -45,16 +45,14 @@ from __future__ import annotations
 from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from starcal_ros.calibration.attitude_free import AttitudeFree
-from starcal_ros.calibration.camera_estimate import CameraEstimate
 from starcal_ros.calibration.invariants import Frame, Information, direction_slopes, directions
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
-
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera_estimate import CameraEstimate
 
 MIN_STARS = 3
 

@@ -15,7 +15,8 @@ from typing import Any
 from rclpy.node import Node
 
 from starcal_ros.nodes.base import run_loop
-from starcal_ros.nodes.base.flow import BATCH, FlowPublisher, drain
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher, drain
+from starcal_ros.nodes.base.matched_subscription import BATCH
 
 Item = tuple[int, FlowPublisher, Any]       # stamp [ns], where, message or CDR bytes
 

@@ -8,19 +8,18 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (PoseWithCovarianceStamped, Quaternion, QuaternionStamped,
                                TransformStamped, TwistWithCovarianceStamped)
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Imu, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
-from starcal_ros.calibration.camera_estimate import CameraEstimate
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import FrameResult, Track
-from starcal_ros.filter.error_state import EPSILON, Belief
+from starcal_ros.filter.states import EPSILON
 from starcal_ros.messages import conventions
 from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
-
-Array = NDArray[np.float64]
 
 _RESIDUALS = np.dtype([('u', '<f8'), ('v', '<f8'), ('du', '<f8'), ('dv', '<f8'),
                        ('catalog_id', '<u4'), ('nis', '<f4'), ('accepted', 'u1')])

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run nodes from their creation to a clean end: the body of every `main`.
 
-SIGINT and SIGTERM only set a flag. The loop below and all that waits (`nodes.base.flow`) look
-at it, so a node is never interrupted halfway: it closes its file, leaves the graph and
+SIGINT and SIGTERM only set a flag. The loop below and all that waits (`flow_publisher`) look at
+it, so a node is never interrupted halfway: it closes its file, leaves the graph and
 exits with status 0. With rclpy's own handlers some exits, too early or too late a Ctrl-C, end
 in a traceback.
 

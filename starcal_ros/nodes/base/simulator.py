@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from rclpy.node import Node
 
 from starcal_ros.config.scenario import SimulationConfig, stamp_ns
-from starcal_ros.nodes.base.flow import FlowPublisher, when_subscribed
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock, passing_time
 
 

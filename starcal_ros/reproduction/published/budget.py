@@ -16,7 +16,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.filter.error_state import STATE_NAMES
+from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.reproduction.outcome import Outcome
 
 RUNS = 100

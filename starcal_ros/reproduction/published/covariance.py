@@ -12,7 +12,7 @@ import numpy as np
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import consistency, montecarlo
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.filter.error_state import N_STATES
+from starcal_ros.filter.states import N_STATES
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import NOT_STATED, chance
 

@@ -12,10 +12,11 @@ import numpy as np
 from starcal_ros.config.models import mounting_matrix
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import montecarlo
-from starcal_ros.filter.error_state import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.reproduction import traces
-from starcal_ros.reproduction.outcome import Array, Curve, Outcome, Panel
+from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import NOT_STATED, table3
 from starcal_ros.simulation.truth import Truth
 

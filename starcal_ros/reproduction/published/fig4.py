@@ -12,10 +12,11 @@ import numpy as np
 from starcal_ros.config.models import intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import bounds
-from starcal_ros.filter.error_state import LENS, SCALE
+from starcal_ros.filter.states import LENS, SCALE
 from starcal_ros.reproduction import traces
-from starcal_ros.reproduction.outcome import Array, Field, Outcome, Panel
+from starcal_ros.reproduction.outcome import Field, Outcome, Panel
 from starcal_ros.reproduction.published import BESIDE, NOT_STATED, chance
 from starcal_ros.simulation.truth import Truth
 

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import ARCSEC, DEG_PER_SQRT_HOUR
 from starcal_ros.evaluation import bounds
-from starcal_ros.filter.error_state import PHI, STATE_NAMES, Filter
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import PHI, STATE_NAMES
 from starcal_ros.reproduction import traces
-from starcal_ros.reproduction.outcome import Array, Curve, Outcome, Panel
+from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import BESIDE, NOT_STATED, chance
 from starcal_ros.simulation.truth import Truth
 

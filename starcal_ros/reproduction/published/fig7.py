@@ -11,8 +11,9 @@ import numpy as np
 from scipy.stats import norm
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.reproduction import traces
-from starcal_ros.reproduction.outcome import Array, Curve, Outcome, Panel
+from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import NOT_STATED
 from starcal_ros.reproduction.published.fig6 import GROUPS, HELD_OUT
 

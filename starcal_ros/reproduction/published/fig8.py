@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import bounds, montecarlo
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.filter.error_state import STATE_NAMES, STATE_UNITS, UNIT
-from starcal_ros.reproduction.outcome import Array, Curve, Outcome, Panel
+from starcal_ros.filter.states import STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import BESIDE, NOT_STATED, chance, table4
 
 RUNS = 50

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.filter.error_state import STATE_NAMES
+from starcal_ros.core.arrays import Array
+from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.filter.verdict import equivalent
 from starcal_ros.reproduction import traces
-from starcal_ros.reproduction.outcome import Array, Curve, Outcome, Panel
+from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import BESIDE, NOT_STATED, chance
 from starcal_ros.simulation.truth import Truth
 

@@ -13,23 +13,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
-from starcal_ros.calibration.methods import predicted_centroid
-from starcal_ros.calibration.methods.predicted_centroid import History
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.filter import offline
+from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.calibrator import Stream
-from starcal_ros.filter.error_state import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT, Nominal
+from starcal_ros.filter.offline import History
+from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.reproduction import real_images
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published.real_sky import calibrate
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.workflows.still_images.calibration import PlateCamera
-
-Array = NDArray[np.float64]
+from starcal_ros.workflows.still_images.calibration import StillImageCamera
 
 RUNS = 1
 COLUMNS = ('set', 'state', 'unit', 'error', 'sigma', 'error/sigma')
@@ -55,7 +53,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
         assert found is not None        # the reference method knows these images
         made = scenario_of(found, scenario)
         gyro = sensors.gyro(made)
-        stream, history = predicted_centroid.calibrate(
+        stream, history = offline.calibrate(
             gyro.next(gyro.count), frames_of(found, made), made)
         rows += [(images.name, *row) for row in _rows(stream, made)]
         values[images.name] = {'reprojection_rms_px': stream.reprojection_rms_px.tolist(),
@@ -69,7 +67,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
                    tuple(panels), values)
 
 
-def scenario_of(found: PlateCamera, scenario: Scenario) -> Scenario:
+def scenario_of(found: StillImageCamera, scenario: Scenario) -> Scenario:
     """Return the scenario with a real camera as its truth, of which little is known."""
     u0, v0, f, *distortion = found.estimate.intrinsics.tolist()
     known = found.scenario.flat()
@@ -86,7 +84,7 @@ def scenario_of(found: PlateCamera, scenario: Scenario) -> Scenario:
         'estimator.initial_sigma.k2': 1e-4})
 
 
-def frames_of(found: PlateCamera, made: Scenario) -> Frames:
+def frames_of(found: StillImageCamera, made: Scenario) -> Frames:
     """Return the simulated frames, their centroids with the noise of the real ones."""
     tracker = sensors.star_tracker(made)
     frames = tracker.next(tracker.count)

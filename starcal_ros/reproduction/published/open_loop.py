@@ -17,15 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
+from starcal_ros.config.instrument import MountingConfig
 from starcal_ros.config.models import intrinsics, mounting_matrix
-from starcal_ros.config.scenario import MountingConfig, Scenario
+from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG_PER_HOUR
 from starcal_ros.evaluation import consistency, montecarlo
 from starcal_ros.evaluation.batch import Runs
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.filter.error_state import N_STATES, STATE_NAMES, UNIT
-from starcal_ros.reproduction.outcome import Array, Curve, Outcome, Panel
+from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
+from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import table3
 from starcal_ros.simulation.truth import Truth
 

@@ -8,16 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.reproduction import real_images
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.real_images import ImageSet
-from starcal_ros.workflows.still_images import calibration as plates
-from starcal_ros.workflows.still_images.calibration import PlateCamera, Refit
+from starcal_ros.workflows.still_images import calibration as still_images
+from starcal_ros.workflows.still_images.calibration import Refit, StillImageCamera
 
 RUNS = 1
 COLUMNS = ('set', 'method', 'f (px)', 'sigma f', 'fitted (px)', 'held out (px)', 'reference f',
@@ -51,22 +51,22 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     return Outcome('Real sky', COLUMNS, tuple(rows), NOTES, tuple(panels))
 
 
-def calibrate(images: ImageSet, method: str) -> PlateCamera | None:
+def calibrate(images: ImageSet, method: str) -> StillImageCamera | None:
     """Return the camera of a set by a method that begins at what the stars themselves say."""
     table = real_images.stars(images)
-    f_px = plates.focal_length_px(table, images.width, images.height)
-    scenario = plates.scenario_of(images.width, images.height, f_px, method)
-    return plates.calibrate(table, scenario)
+    f_px = still_images.focal_length_px(table, images.width, images.height)
+    scenario = still_images.scenario_of(images.width, images.height, f_px, method)
+    return still_images.calibrate(table, scenario)
 
 
-def _row(images: ImageSet, method: str, found: PlateCamera) -> tuple[str | float, ...]:
+def _row(images: ImageSet, method: str, found: StillImageCamera) -> tuple[str | float, ...]:
     result = found.as_dict()
     return (images.name, method, f'{result["f_px"]:.2f}', result['sigma']['f_px'],
             result['fit_rms_px'], result['heldout_rms_px'], f'{images.reference_f_px:.2f}',
             images.reference_rms_px, images.reference_heldout_px)
 
 
-def _over_radius(found: PlateCamera, label: str) -> Curve:
+def _over_radius(found: StillImageCamera, label: str) -> Curve:
     """Return the residuals of all images over the distance from the middle of the field."""
     parts = [part for part in (found.fit, found.heldout) if part is not None]
     pixels = detector(found.scenario.camera)
@@ -81,5 +81,5 @@ def _over_radius(found: PlateCamera, label: str) -> Curve:
     return Curve(middle[seen], np.sqrt(total[seen] / count[seen]), label, 'marked')
 
 
-def _used(part: Refit, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _used(part: Refit, values: Array) -> Array:
     return values[part.adjusted.used]

@@ -11,14 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.self2024 import CAP, CONE, NOTES, PITCH_MM, TRUTH, Point, bound
 from starcal_ros.reproduction.self2024_lens import ESTIMATORS, Case, Errors, run
-
-Array = NDArray[np.float64]
 
 RUNS = 40
 K1 = (0.0, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4)

@@ -9,15 +9,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration import interstar_equations as interstar
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.self2024 import (CONSTRAINED, LARGEST, METHODS, NOTES, START, TRUTH,
                                                Point, evaluate, scenes, spots)
-
-Array = NDArray[np.float64]
 
 RUNS = 24
 STEPS = {1.0: 1000, 50.0: 60, 100.0: 40, 200.0: 40, 300.0: 40, 500.0: 40}

@@ -11,7 +11,7 @@ from typing import Any
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import consistency, montecarlo
 from starcal_ros.evaluation.montecarlo import Study
-from starcal_ros.filter.error_state import CALIBRATED, STATE_NAMES, STATE_UNITS
+from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS
 from starcal_ros.reproduction.outcome import Outcome
 from starcal_ros.reproduction.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED, chance
 

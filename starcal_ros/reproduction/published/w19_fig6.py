@@ -8,16 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration.attitude_free import Belief
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.reproduction import wu2019
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.wu2019 import GROUPS, METHODS, TRUTH
 from starcal_ros.reproduction.wu2019_study import Row, Study
-
-Array = NDArray[np.float64]
 
 RUNS = 20
 POINTS = 30

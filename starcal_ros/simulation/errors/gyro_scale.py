@@ -20,15 +20,15 @@ the three axes (xy = -yx and so on) is a misalignment here, not a part of the mo
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.truth import TrueGyroConfig
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import ARCSEC
 
 _PPM = 1e-6
 
 
-def scale_error(gyro: TrueGyroConfig) -> NDArray[np.float64]:
+def scale_error(gyro: TrueGyroConfig) -> Array:
     """Return M, (3, 3)."""
     M = np.diag(gyro.scale_factor_ppm) * _PPM
     M[~np.eye(3, dtype=bool)] = np.array(gyro.misalignment_arcsec) * ARCSEC

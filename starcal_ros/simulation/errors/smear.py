@@ -25,9 +25,8 @@ good to 4e-4 a T^2, a the step of the image's acceleration: 5e-4 px for T18's.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from starcal_ros.core.arrays import Array
 
 SPOT_SIGMA_PX = 0.7
 """Sigma s of the spot of a star at rest: 94 % of its light within 3 x 3 pixels."""

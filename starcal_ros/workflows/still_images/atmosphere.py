@@ -12,16 +12,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.calibration import bundle_start
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import Places
 from starcal_ros.sky.refraction import LOWEST_DEG, Site, altitude, refracted
-
-Array = NDArray[np.float64]
 
 
 def without_air(measured: Frames, freed: Frames, C_si: Array, intrinsics: Array,
@@ -59,7 +57,7 @@ def without_air(measured: Frames, freed: Frames, C_si: Array, intrinsics: Array,
 
 
 def numbers_in_the_air(frames: Frames, scenario: Scenario, site: Site
-                       ) -> tuple[Frames, NDArray[np.bool_], int]:
+                       ) -> tuple[Frames, Mask, int]:
     """Take the numbers from stars that are too low to know their refraction.
 
     Returns

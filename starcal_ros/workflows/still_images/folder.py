@@ -20,10 +20,10 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.identification.camera_guess import CameraGuess
@@ -33,8 +33,6 @@ from starcal_ros.imaging.centroids import Centroids, extract
 from starcal_ros.imaging.files import ImageFileError, image_files, load
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import Site
-
-Array = NDArray[np.float64]
 
 FIELD_DEG = (8.0, 40.0)
 """Fields of view across the width in which a camera of unknown field is looked for."""
@@ -79,7 +77,7 @@ class StarImage:
     name: str
     uv_raster: Array
     sigma: Array
-    catalog_id: NDArray[np.int64]
+    catalog_id: Ints
     spots: int
     stamp_ns: int | None
     has_zone: bool

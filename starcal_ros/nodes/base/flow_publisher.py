@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Publishing and subscribing without loss, at any speed.
+"""Publishing without loss, at any speed.
 
 A stream (gyro samples, frames) is offered and requested reliable and KEEP_ALL: the middleware
 itself then refuses what it cannot keep. A subscriber that falls behind fills its queue (Fast DDS:
@@ -13,10 +13,7 @@ waits where it would overwrite one that a subscriber has not acknowledged. With 
 would be before each message, and an acknowledgement takes 5 ms, or 3 s where one is missed and
 nothing more is published. So the depth is 100; who asks for the last one gets the last one.
 
-`MatchedSubscription` requests the same, or the lower policy that a publisher offers. It takes
-all that waits at once, ten times as fast as a callback a message.
-
-What the middleware can not match is said in words, by both.
+The other side is `matched_subscription`.
 """
 
 from __future__ import annotations
@@ -26,37 +23,20 @@ import math
 import sys
 import time
 from typing import Any
-from weakref import WeakKeyDictionary
 
 from rclpy.duration import Duration
-from rclpy.event_handler import (PublisherEventCallbacks, SubscriptionEventCallbacks,
-                                 UnsupportedEventTypeError)
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from starcal_ros.nodes.base import run_loop
-
-STREAM = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL,
-                    durability=DurabilityPolicy.VOLATILE)
-LATCHED = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST,
-                     durability=DurabilityPolicy.TRANSIENT_LOCAL, depth=100)
-
-_POLICY = {QoSPolicyKind.DURABILITY: 'durability: the last messages for who comes late',
-           QoSPolicyKind.DEADLINE: 'deadline: a message at least so often',
-           QoSPolicyKind.LIVELINESS: 'liveliness: a sign of life at least so often',
-           QoSPolicyKind.RELIABILITY: 'reliability: lost messages sent again'}
+from starcal_ros.nodes.base.qos import LATCHED, POLICIES, STREAM
 
 PATIENCE_S = 10.0               # of a node that serves sensors, with a subscriber that hangs
-BATCH = 500                     # most messages of one drain: other callbacks get their turn
-_MOST_WAITING = 5000            # messages that Fast DDS keeps for a subscriber
 _POLL = Duration(seconds=0.05)  # a signal is seen between two of these
 _WORTH_TELLING_S = 5.0
 _GRACE_S = 3.0                  # after a stop, to hand over what has been worked out
-_LOOK_S = 0.25                  # between looks for messages that nobody announced
-_LOOKED_AT: WeakKeyDictionary[Node, list[MatchedSubscription]] = WeakKeyDictionary()
 _RETRY_S = 1.0                  # between tries for a subscriber that takes nothing
 
 
@@ -171,8 +151,8 @@ class FlowPublisher:
 
     def _on_incompatible(self, event: Any) -> None:
         self._log.warning(f'{self.topic}: a subscriber asks for more than is offered '
-                          f'({_POLICY.get(event.last_policy_kind, "an unknown policy")}) and gets '
-                          'nothing')
+                          f'({POLICIES.get(event.last_policy_kind, "an unknown policy")}) '
+                          'and gets nothing')
 
     def _tell_going_on(self) -> None:
         if self._told:
@@ -214,145 +194,3 @@ def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
 
     timer = run_loop.steady_timer(node, 0.02, poll)
     return timer
-
-
-class MatchedSubscription:
-    """A subscription that takes what each publisher offers, without loss where that can be.
-
-    It begins reliable (and transient local where `latched`). When a publisher offers less, it
-    requests less from then on, of all publishers of the topic.
-
-    Parameters
-    ----------
-    node : Node
-    message_type : type
-    topic : str
-    callback : callable
-        Receives a list of messages, in the order of arrival, at least one and at most `at_once`.
-    latched : bool
-        Ask for the last message that was published before.
-    raw : bool
-        Receive CDR bytes in place of messages.
-    at_once : int
-        Fewer where a message is large or takes long.
-
-    Attributes
-    ----------
-    received : int
-        Number of messages handed over.
-    lost : int
-        Number of messages that the middleware says it has lost.
-    """
-
-    def __init__(self, node: Node, message_type: type, topic: str,
-                 callback: Callable[[list[Any]], None], *,
-                 latched: bool = False, raw: bool = False, at_once: int = BATCH) -> None:
-        self._node, self._type, self._topic, self._raw = node, message_type, topic, raw
-        self._callback, self._at_once = callback, at_once
-        self._reliability = ReliabilityPolicy.RELIABLE
-        self._durability = LATCHED.durability if latched else STREAM.durability
-        self.received, self.lost = 0, 0
-        self._subscription = self._create()
-        self._outdated = False
-        _looked_at(node).append(self)
-
-    @property
-    def topic(self) -> str:
-        """Resolved name of the topic."""
-        return self._subscription.topic_name
-
-    @property
-    def publishers(self) -> int:
-        """Number of publishers that are matched now."""
-        return self._subscription.get_publisher_count()
-
-    def take_all(self) -> None:
-        """Hand over all that waits, now; not what a publisher adds in the meantime."""
-        for _ in range(_MOST_WAITING // self._at_once):
-            self._hand_over(_take_waiting(self._subscription, self._at_once))
-
-    def destroy(self) -> None:
-        """End the subscription."""
-        self._callback = lambda messages: None      # for what is under way in the executor
-        _looked_at(self._node).remove(self)
-        self._node.destroy_subscription(self._subscription)
-
-    def _create(self) -> Subscription[Any]:
-        qos = QoSProfile(reliability=self._reliability, durability=self._durability,
-                         history=HistoryPolicy.KEEP_ALL)
-        events = SubscriptionEventCallbacks(
-            incompatible_qos=self._on_incompatible, message_lost=self._on_lost,
-            use_default_callbacks=False)        # each costs time, message by message
-        on_message = run_loop.guarded(self._on_message)
-        try:
-            return self._node.create_subscription(
-                self._type, self._topic, on_message, qos, raw=self._raw, event_callbacks=events)
-        except UnsupportedEventTypeError:       # by this middleware; the other rclpy skips itself
-            events.message_lost = None
-            return self._node.create_subscription(
-                self._type, self._topic, on_message, qos, raw=self._raw, event_callbacks=events)
-
-    def look_again(self) -> int:
-        """Hand over what waits, and return how much; ask the publishers for less if need be."""
-        if self._outdated:
-            self._recreate()
-        # What arrives while messages are taken does not always wake the executor once more.
-        self._hand_over(waiting := _take_waiting(self._subscription, self._at_once))
-        return len(waiting)
-
-    def _on_message(self, message: Any) -> None:
-        self._hand_over([message, *_take_waiting(self._subscription, self._at_once - 1)])
-
-    def _hand_over(self, messages: list[Any]) -> None:
-        if messages:
-            self.received += len(messages)
-            self._callback(messages)
-
-    def _on_lost(self, event: Any) -> None:
-        if not self.lost:
-            self._node.get_logger().warning(
-                f'{self.topic}: the middleware has lost messages, {event.total_count} at first')
-        self.lost += event.total_count_change
-
-    def _on_incompatible(self, event: Any) -> None:
-        if event.last_policy_kind == QoSPolicyKind.RELIABILITY:
-            self._reliability, offer = ReliabilityPolicy.BEST_EFFORT, 'best effort'
-        elif event.last_policy_kind == QoSPolicyKind.DURABILITY:
-            self._durability, offer = DurabilityPolicy.VOLATILE, 'volatile'
-        else:
-            self._node.get_logger().warning(
-                f'{self.topic}: a publisher offers less than is asked for '
-                f'({_POLICY.get(event.last_policy_kind, "an unknown policy")}), so that nothing '
-                'is received from it')
-            return
-        self._node.get_logger().warning(
-            f'{self.topic}: a publisher offers {offer} only, so that is requested now')
-        self._outdated = True           # replaced later: this event belongs to what is replaced
-
-    def _recreate(self) -> None:
-        self.take_all()
-        self._node.destroy_subscription(self._subscription)
-        self._subscription, self._outdated = self._create(), False
-
-
-def _looked_at(node: Node) -> list[MatchedSubscription]:
-    """Return the subscriptions of a node that one timer looks at again and again."""
-    if node not in _LOOKED_AT:
-        subscriptions = _LOOKED_AT[node] = []
-        run_loop.steady_timer(node, _LOOK_S, lambda: [
-            subscription.look_again() for subscription in list(subscriptions)])
-    return _LOOKED_AT[node]
-
-
-def _take_waiting(subscription: Subscription[Any], limit: int) -> list[Any]:
-    """Take what waits behind the message of a callback; the one use of this half-public API."""
-    messages: list[Any] = []
-    handle = subscription.handle
-    with handle:
-        take = getattr(handle, 'take_message', None)
-        while take and len(messages) < limit:
-            taken = take(subscription.msg_type, subscription.raw)
-            if taken is None:
-                break
-            messages.append(taken[0])
-    return messages

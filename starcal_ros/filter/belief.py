@@ -1,0 +1,136 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the filter believes: nominal values, their expected error and its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from starcal_ros.core import kalman, rotation
+from starcal_ros.core.arrays import Array
+from starcal_ros.filter import augmentation
+from starcal_ros.filter.states import AUGMENTED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE, THETA
+
+SCALES = np.append(SCALE, augmentation.SCALE)
+"""What the filter divides each state by, the augmented ones included."""
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """What is believed: the values that the filter's errors are errors of.
+
+    Attributes
+    ----------
+    C_gi : (..., 3, 3) array
+        Attitude, i to g.
+    bias : (..., 3) array
+        Gyro bias [rad/s].
+    C_sg : (..., 3, 3) array
+        Mounting, g to s.
+    intrinsics : (..., 7) array
+        Camera, as in `starcal_ros.core.camera`.
+    augmented : (..., m) array
+        What `augmentation` adds to these, if anything.
+    reading : (..., 3) array
+        The gyro's reading at the stamp, for the time offset [rad/s].
+    """
+
+    C_gi: Array
+    bias: Array
+    C_sg: Array
+    intrinsics: Array
+    augmented: Array = field(default_factory=lambda: np.empty(0))
+    reading: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def C_si(self) -> Array:
+        """Attitude of the star tracker, (..., 3, 3), i to s."""
+        return self.C_sg @ self.C_gi
+
+    def without(self, error: Array) -> Nominal:
+        """Return the values freed of an error (..., 16 + m), its attitude part theta."""
+        turn = rotation.exp(-np.stack((error[..., THETA], error[..., PSI])))
+        C_sg = rotation.orthonormalized(turn[1] @ self.C_sg)
+        C_gi = rotation.orthonormalized(np.swapaxes(C_sg, -1, -2) @ turn[0] @ self.C_si)
+        return Nominal(C_gi, self.bias - error[..., EPSILON], C_sg,
+                       self.intrinsics - error[..., LENS],
+                       augmentation.freed(self.augmented, error[..., AUGMENTED], self.C_sg),
+                       self.reading)
+
+    def minus(self, truth: Nominal) -> Array:
+        """Return the error (..., 16 + m) of these values, its attitude part theta."""
+        return np.concatenate((
+            rotation.log(self.C_si @ np.swapaxes(truth.C_si, -1, -2)),
+            self.bias - truth.bias,
+            rotation.log(self.C_sg @ np.swapaxes(truth.C_sg, -1, -2)),
+            self.intrinsics - truth.intrinsics,
+            augmentation.error(self.augmented, truth.augmented, self.C_sg)), axis=-1)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Nominal values, the error expected of them, and the covariance of that error.
+
+    Attributes
+    ----------
+    nominal : Nominal
+        Values.
+    error : (..., n) array
+        Expected error of the n = 16 + m values, its attitude part theta; zero with feedback.
+    root : (..., n, n) array
+        Root of the error covariance, each state in units of SCALE, the attitude part theta.
+    """
+
+    nominal: Nominal
+    error: Array
+    root: Array
+
+    @property
+    def estimate(self) -> Nominal:
+        """The best values: the nominal ones less their expected error."""
+        return self.nominal.without(self.error) if self.error.any() else self.nominal
+
+    @property
+    def whole_root(self) -> Array:
+        """Root of the covariance, (..., n, n), in the filter's units, the attitude part phi."""
+        root = self.root * SCALES[:self.root.shape[-1], None]
+        C_is = np.swapaxes(self.nominal.C_si, -1, -2)
+        root[..., PHI, :] = C_is @ (root[..., THETA, :] - root[..., PSI, :])
+        if root.shape[-1] > N_STATES:
+            root[..., AUGMENTED, :] = augmentation.outer(
+                root[..., AUGMENTED, :], self.nominal.augmented, self.nominal.C_sg)
+        return root
+
+    @property
+    def state_root(self) -> Array:
+        """Root of the covariance of T18's states, (..., 16, 16), in the filter's units."""
+        return kalman.marginal(self.whole_root, N_STATES)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of T18's states, (..., 16, 16), in the filter's units."""
+        root = self.state_root
+        return root @ np.swapaxes(root, -1, -2)
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviation of T18's states, (..., 16), in the filter's units."""
+        root = self.state_root
+        return np.sqrt(np.einsum('...ij,...ij->...i', root, root))
+
+    @property
+    def augmented_sigma(self) -> Array:
+        """Standard deviation of the augmented states, (..., m), in the filter's units."""
+        return np.linalg.norm(self.whole_root[..., AUGMENTED, :], axis=-1)
+
+    @property
+    def tracker_sigma(self) -> Array:
+        """Standard deviation of theta, (..., 3): the attitude of the star tracker [rad]."""
+        return SCALE[THETA] * np.linalg.norm(self.root[..., THETA, :], axis=-1)
+
+    def nees(self, truth: Nominal) -> Array:
+        """Return the normalised estimation error squared, (...), of n degrees of freedom."""
+        error = self.estimate.minus(truth) / SCALES[:self.root.shape[-1]]
+        return np.sum(np.linalg.solve(self.root, error[..., None])**2, axis=(-2, -1))

@@ -1,0 +1,37 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A camera of still images in OpenCV's forward model.
+
+f, u0, v0 in raster pixels, k1, k2, p1, p2 without unit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from starcal_ros.config.models import detector
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.units import DEG
+from starcal_ros.messages.conventions import camera_info
+
+KEYS = ('f_px', 'u0_px', 'v0_px', 'k1', 'k2', 'p1', 'p2')
+"""The intrinsics in results; p1 and p2 are OpenCV's."""
+
+
+def from_estimate(estimate: CameraEstimate, scenario: Scenario) -> tuple[Array, Array]:
+    """Return a camera in OpenCV's forward model, (7,) in the order of KEYS, and its covariance."""
+    info = camera_info(estimate.intrinsics, detector(scenario.camera))
+    f, (k1, k2, p1, p2, _) = estimate.intrinsics[2], info.D
+    J = np.zeros((7, 7))
+    J[0, 2], J[1, 0], J[2, 1] = 1.0 / scenario.camera.pixel_pitch_mm, 1.0, 1.0
+    J[3, 3], J[4, 4], J[5, 6], J[6, 5] = f**2, f**4, f, f
+    J[3:, 2] = 2.0 * k1 / f, 4.0 * k2 / f, p1 / f, p2 / f
+    return (np.array([info.K[0], info.K[2], info.K[5], k1, k2, p1, p2]),
+            J @ estimate.covariance @ J.T)
+
+
+def focal_length_of_field(fov_deg: float, width: int) -> float:
+    """Return the focal length of a field of view across the width [px]."""
+    return 0.5 * width / float(np.tan(0.5 * fov_deg * DEG))
