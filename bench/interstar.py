@@ -39,7 +39,7 @@ def best(task: Callable[[], object], tries: int) -> float:
     return 1e3 * min(times)
 
 
-def as_written(sight: interstar.Sight) -> tuple[Array, Array]:
+def as_written(sight: interstar.SpotDirections) -> tuple[Array, Array]:
     """Return A'A and A'e of S, one round, from all pairs of frames and of stars."""
     w, b = np.moveaxis(sight.w, 0, -1), np.moveaxis(sight.instruments, (0, 1), (-1, -2))
     i, j = np.triu_indices(w.shape[1], 1)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.calibration import attitude_free
-from starcal_ros.calibration.attitude_free import Belief, Measurement
+from starcal_ros.calibration.attitude_free import CameraBelief, Measurement
 from starcal_ros.core import rotation
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.reproduction.published_cameras import unproject_w19
@@ -114,15 +114,15 @@ def main() -> None:
                       f'screening of stars, of {limit} allowed')
 
 
-def converged(measure: Measurement, rng: np.random.Generator) -> Belief:
+def converged(measure: Measurement, rng: np.random.Generator) -> CameraBelief:
     """Return what is known after 2500 frames of 20 stars: the fifth part of after 100."""
-    belief = Belief(TRUTH, np.diag(START_SIGMA))
+    belief = CameraBelief(TRUTH, np.diag(START_SIGMA))
     for _ in range(100):
         belief = attitude_free.update(belief, frame_of(20, rng), LENS, measure)
-    return Belief(TRUTH, 0.2 * belief.root)
+    return CameraBelief(TRUTH, 0.2 * belief.root)
 
 
-def _ours(belief: Belief, measure: Measurement, stars: Stars) -> object:
+def _ours(belief: CameraBelief, measure: Measurement, stars: Stars) -> object:
     return attitude_free.screen(belief, stars, LENS, measure, GATE)
 
 

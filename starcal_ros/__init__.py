@@ -15,7 +15,7 @@ Data flow
 
 Truth (`simulation`) and belief (`stream`, `estimator`) share models, never objects. Only `nodes`
 imports rclpy. The live estimator node, ``starcal calibrate`` and a Monte Carlo run the same
-`stream.Stream` and `estimator.Filter`.
+`stream.Calibrator` and `estimator.Filter`.
 
 Frames
 ------
@@ -40,7 +40,7 @@ Mathematics: `rotation`, `camera`, `kalman`, `preintegration`. The sky: `catalog
 The filter: `estimator`, `acquisition`, `stream`, `timeline`, its options `process_noise`,
 `augmentation`; what its covariance means: `verdict`, `evaluation`.
 The camera alone: `calibration`, one method a file, on `attitude_free` and `invariants` (single
-frames), `interstar`, `interstar_fit` and `spots` (nameless spots), `bundle`; images of the sky
+frames), `interstar`, `interstar_fit` and `spots` (unidentified spots), `bundle`; images of the sky
 in files: `plate_images`, through the air: `plate_air`, `refraction`; the stars of still images:
 `plates`; cameras of the papers: `published_cameras`; all of it in a row: `bootstrap`.
 Images: `simulation.render`, `imaging.centroid`, `imaging.identify`; what they share: `spot`;

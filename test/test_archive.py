@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from starcal_ros.results.store import Archive, ArchiveError
+from starcal_ros.results.store import CalibrationStore, StoreError
 
 FILES = {'result.json': '{}\n', 'imu.yaml': 'rate: 1.0\n'}
 
@@ -18,7 +18,7 @@ import os
 import signal
 import sys
 from pathlib import Path
-from starcal_ros.results.store import Archive
+from starcal_ros.results.store import CalibrationStore
 
 
 class Files(dict):
@@ -27,13 +27,13 @@ class Files(dict):
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-Archive(Path(sys.argv[1])).save(Files())
+CalibrationStore(Path(sys.argv[1])).save(Files())
 """
 
 
 @pytest.fixture
 def archive(tmp_path):
-    return Archive(tmp_path / 'saved')
+    return CalibrationStore(tmp_path / 'saved')
 
 
 def content(folder):
@@ -69,7 +69,7 @@ def test_what_is_undone_is_set_aside_and_its_number_is_not_used_again(archive):
 
 
 def test_nothing_to_undo_is_said(archive):
-    with pytest.raises(ArchiveError, match='no saved calibration'):
+    with pytest.raises(StoreError, match='no saved calibration'):
         archive.undo()
 
 
@@ -93,8 +93,8 @@ def test_two_that_save_into_one_directory_get_different_numbers(archive, monkeyp
 
 def test_directory_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / 'file').write_text('')
-    with pytest.raises(ArchiveError, match='file.*cannot be written'):
-        Archive(tmp_path / 'file' / 'saved').save(FILES)
+    with pytest.raises(StoreError, match='file.*cannot be written'):
+        CalibrationStore(tmp_path / 'file' / 'saved').save(FILES)
 
 
 def test_other_files_are_left_alone(archive):

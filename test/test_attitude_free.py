@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from starcal_ros.calibration import attitude_free, invariants
-from starcal_ros.calibration.attitude_free import AttitudeFree, Belief
+from starcal_ros.calibration.attitude_free import AttitudeFree, CameraBelief
 from starcal_ros.calibration.methods import angular_distance, singular_value
 from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
@@ -47,8 +47,8 @@ def nees(belief, truth):
 def test_filter_ends_where_it_says_from_far_away(measure):
     """100 runs from errors drawn from the prior; 40 frames of 15 stars each."""
     rng, runs = np.random.default_rng(1), 100
-    belief = Belief(T18 + INITIAL * rng.standard_normal((runs, 7)),
-                    np.broadcast_to(np.diag(INITIAL), (runs, 7, 7)))
+    belief = CameraBelief(T18 + INITIAL * rng.standard_normal((runs, 7)),
+                          np.broadcast_to(np.diag(INITIAL), (runs, 7, 7)))
     for _ in range(40):
         belief = attitude_free.update(belief, frame_of(15, rng, runs=(runs,)), LENS, measure)
     low, high = chi2.ppf([0.0005, 0.9995], 7 * runs) / runs
@@ -59,7 +59,7 @@ def test_update_is_the_least_squares_adjustment_of_a_frame_and_its_prior():
     """Gauss-Newton with the attitude as three more unknowns, to convergence."""
     rng = np.random.default_rng(2)
     stars = frame_of(15, rng)
-    prior = Belief(T18 + 0.3 * INITIAL * rng.standard_normal(7), np.diag(INITIAL))
+    prior = CameraBelief(T18 + 0.3 * INITIAL * rng.standard_normal(7), np.diag(INITIAL))
     x = prior.parameters.copy()
     C_si = invariants.align(stars.u_i, camera.unproject(stars.uv, x, PITCH), np.ones((15, 1)))
     for _ in range(20):
@@ -108,8 +108,8 @@ def test_wrong_stars_are_found_and_the_good_ones_kept(measure, known):
         wrong = rng.choice(16, 3, replace=False)
         stars.u_i[wrong[:2]] = stars.u_i[wrong[1::-1]]          # two take each other's number
         stars.uv[wrong[2]] += [2.0, -1.0]                       # one is 45 sigmas off
-        prior = Belief(T18 + known * 0.5 * INITIAL * rng.standard_normal(7),
-                       np.diag(known * INITIAL))
+        prior = CameraBelief(T18 + known * 0.5 * INITIAL * rng.standard_normal(7),
+                             np.diag(known * INITIAL))
         belief, used = attitude_free.screen(prior, stars, LENS, measure, GATE)
         assert sorted(np.flatnonzero(~used)) == sorted(wrong)
         good = Stars(*(part[used] for part in stars))
@@ -120,7 +120,7 @@ def test_wrong_stars_are_found_and_the_good_ones_kept(measure, known):
 @BOTH
 def test_frame_of_other_stars_changes_nothing(measure):
     rng = np.random.default_rng(5)
-    prior = Belief(T18, np.diag(INITIAL))
+    prior = CameraBelief(T18, np.diag(INITIAL))
     strange = frame_of(12, rng)._replace(u_i=frame_of(12, rng).u_i)
     belief, used = attitude_free.screen(prior, strange, LENS, measure, GATE)
     assert not used.any() and belief is prior
@@ -129,7 +129,7 @@ def test_frame_of_other_stars_changes_nothing(measure):
 @pytest.mark.parametrize('parameters', [T18 * np.nan, T18 + [0, 0, 0, 1e3, 1e4, 0, 0]])
 def test_impossible_camera_is_no_crash(parameters):
     stars = frame_of(6, np.random.default_rng(6))
-    prior = Belief(parameters, np.diag(INITIAL))
+    prior = CameraBelief(parameters, np.diag(INITIAL))
     _, used = attitude_free.screen(prior, stars, LENS, angular_distance.full, GATE)
     assert not used.any()
 

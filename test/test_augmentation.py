@@ -13,7 +13,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.core import kalman, rotation
 from starcal_ros.filter import augmentation
 from starcal_ros.filter.belief import Belief, Nominal
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import (AUGMENTED, MATRIX, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
                                        THETA)
@@ -320,8 +320,8 @@ class Run:
         scenario = SCENARIO.replace({'simulation.duration_s': seconds, 'simulation.seed': seed,
                                      **options})
         rng = np.random.default_rng([3106, seed])
-        self.stream = Stream(scenario)
-        filter_, gyro, tracker = self.stream.filter, *(
+        self.calibrator = Calibrator(scenario)
+        filter_, gyro, tracker = self.calibrator.filter, *(
             make(scenario) for make in (sensors.gyro, sensors.star_tracker))
         simulated = tracker.truth
         self.motion = simulated.motion
@@ -340,10 +340,10 @@ class Run:
             motion=replace(self.motion, start_ns=self.motion.start_ns - round(1e9 * tau)))
         samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
         rate = samples.rate - simulated.bias
-        self.stream.add_gyro(GyroSamples(samples.stamp_ns, rate + rate @ M.T + true.bias))
-        self.stream.add_frames(frames[frames.stamp_ns.searchsorted(self.motion.start_ns):])
-        self.tracks = [frame.track for frame in self.stream.process(tracked=True)]
-        self.truth = replace(true, C_gi=self.C_gi(self.stream.stamp_ns))
+        self.calibrator.add_gyro(GyroSamples(samples.stamp_ns, rate + rate @ M.T + true.bias))
+        self.calibrator.add_frames(frames[frames.stamp_ns.searchsorted(self.motion.start_ns):])
+        self.tracks = [frame.track for frame in self.calibrator.process(tracked=True)]
+        self.truth = replace(true, C_gi=self.C_gi(self.calibrator.stamp_ns))
 
     def C_gi(self, stamps_ns):
         """Return the true attitude at stamps."""
@@ -353,8 +353,8 @@ class Run:
     @property
     def normalised(self):
         """Errors of all states in their own sigmas, those of attitude and M as the filter's."""
-        belief = self.stream.belief
-        sigma = self.stream.filter.scale * np.linalg.norm(belief.root, axis=-1)
+        belief = self.calibrator.belief
+        sigma = self.calibrator.filter.scale * np.linalg.norm(belief.root, axis=-1)
         return belief.estimate.minus(self.truth) / sigma
 
 
@@ -374,12 +374,12 @@ def test_gyro_matrix_removes_the_bias_that_it_is_for(scaled):
     blind = Run({}, 550.0, ppm=1000.0)
     assert np.abs(blind.normalised[3:]).max() > 20.0
     assert [name for name, error in zip(NAMES, scaled.normalised) if abs(error) > 3.5] == []
-    assert scaled.stream.counts.rejected_stars < 10 < blind.stream.counts.rejected_stars
+    assert scaled.calibrator.counts.rejected_stars < 10 < blind.calibrator.counts.rejected_stars
 
 
 def test_scale_factors_and_symmetric_part_are_found(scaled):
     """To some ppm of 1000; the antisymmetric part is told by the initial sigmas alone."""
-    belief = scaled.stream.belief
+    belief = scaled.calibrator.belief
     root = belief.whole_root[MATRIX].reshape(3, 3, -1)
     error = (belief.estimate.augmented - scaled.truth.augmented).reshape(3, 3)
     for sign, seen in ((1.0, True), (-1.0, False)):
@@ -398,7 +398,7 @@ def test_time_offset_removes_the_bias_that_it_is_for(tau, late):
     errors = run.normalised
     names = (*STATE_NAMES, *augmentation.names(1))
     assert [name for name, error in zip(names, errors) if abs(error) > 3.5] == []
-    assert run.stream.belief.augmented_sigma[0] < 1e-4             # of 20 ms at first
+    assert run.calibrator.belief.augmented_sigma[0] < 1e-4             # of 20 ms at first
 
 
 def test_estimates_of_all_26_states_are_consistent():
@@ -406,7 +406,7 @@ def test_estimates_of_all_26_states_are_consistent():
     nees = []
     for seed in range(30):
         run = Run(BOTH_ON, 200.0, seed=seed, draw=True)
-        nees.append(run.stream.belief.nees(run.truth))
+        nees.append(run.calibrator.belief.nees(run.truth))
     low, high = chi2.ppf([0.0005, 0.9995], 26 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
 
@@ -425,28 +425,28 @@ def test_covariance_between_frames_is_that_of_the_filter():
     """What M adds is a tenth of the turn, 0.25 deg, and more: first order in that turn."""
     scenario = SCENARIO.replace({**BOTH_ON, 'simulation.duration_s': 41.0})
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
-    stream = Stream(scenario)
+    calibrator = Calibrator(scenario)
     samples = gyro.next(gyro.count)
-    stream.add_gyro(samples)
-    stream.add_frames(tracker.next(81))         # up to 40 s
-    list(stream.process(tracked=True))
-    track = stream.track()
-    cuts = np.array([stream.stamp_ns, track.stamp_ns[-1]])
+    calibrator.add_gyro(samples)
+    calibrator.add_frames(tracker.next(81))         # up to 40 s
+    list(calibrator.process(tracked=True))
+    track = calibrator.track()
+    cuts = np.array([calibrator.stamp_ns, track.stamp_ns[-1]])
     turn = Preintegrated(*(part[0] for part in preintegrate(
-        samples, cuts, stream.filter.start.bias, PERIOD_NS, True)))
-    after = stream.filter.propagate(stream.belief, turn)
+        samples, cuts, calibrator.filter.start.bias, PERIOD_NS, True)))
+    after = calibrator.filter.propagate(calibrator.belief, turn)
     np.testing.assert_allclose(track.covariance[-1], after.covariance[PHI, PHI], rtol=0,
                                atol=0.02 * np.diag(after.covariance)[PHI].max())
-    stamp_ns, C_gi = stream.attitude_now()
+    stamp_ns, C_gi = calibrator.attitude_now()
     assert stamp_ns == cuts[1]
     np.testing.assert_allclose(C_gi, after.nominal.C_gi, rtol=0, atol=1e-9)
 
 
 def test_open_loop_filter_finds_the_offset_too():
     run = Run({**OFFSET_ON, 'estimator.feedback': False}, 200.0, tau=0.01)
-    tau = run.stream.belief.estimate.augmented[0]
+    tau = run.calibrator.belief.estimate.augmented[0]
     assert abs(tau - 0.01) < 0.001
-    assert run.stream.belief.nominal.augmented[0] == 0.0
+    assert run.calibrator.belief.nominal.augmented[0] == 0.0
 
 
 # The result
@@ -455,11 +455,11 @@ def test_open_loop_filter_finds_the_offset_too():
 def test_result_holds_the_augmented_estimates(late, scaled):
     for run, names in ((late, ['tau_s']), (scaled, [
             f'M_{row}{column}_ppm' for row in 'xyz' for column in 'xyz'])):
-        outcome = result(run.stream, {})
+        outcome = result(run.calibrator, {})
         assert np.shape(outcome['covariance']) == (N_STATES, N_STATES)
         assert outcome['augmented']['names'] == names
         unit = 1.0 if names == ['tau_s'] else 1e-6
-        belief = run.stream.belief
+        belief = run.calibrator.belief
         np.testing.assert_allclose(np.array(outcome['augmented']['estimates']) * unit,
                                    belief.estimate.augmented, rtol=1e-12)
         np.testing.assert_allclose(np.array(outcome['augmented']['sigmas']) * unit,
@@ -467,7 +467,7 @@ def test_result_holds_the_augmented_estimates(late, scaled):
 
 
 def test_result_says_nothing_of_states_that_are_off():
-    assert 'augmented' not in result(Run({}, 30.0).stream, {})
+    assert 'augmented' not in result(Run({}, 30.0).calibrator, {})
 
 
 def test_verdict_judges_the_16_states_of_an_augmented_filter():
@@ -475,9 +475,9 @@ def test_verdict_judges_the_16_states_of_an_augmented_filter():
     scenario = SCENARIO.replace({'estimator.augment.gyro_matrix_sigma_ppm': 100.0,
                                  'estimator.augment.time_offset_sigma_s': 0.01,
                                  'simulation.duration_s': 5.0})
-    stream = Stream(scenario)
-    stream.add_gyro(sensors.gyro(scenario).next(10**6))
-    stream.add_frames(sensors.star_tracker(scenario).next(10**6))
-    for _ in stream.process():
+    calibrator = Calibrator(scenario)
+    calibrator.add_gyro(sensors.gyro(scenario).next(10**6))
+    calibrator.add_frames(sensors.star_tracker(scenario).next(10**6))
+    for _ in calibrator.process():
         pass
-    assert len(judge(stream.filter, stream.belief).states) == 13
+    assert len(judge(calibrator.filter, calibrator.belief).states) == 13

@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The chain from a focal length that is a tenth wrong and nameless stars to the 16 states."""
+"""The chain from a focal length that is a tenth wrong and unidentified stars to the 16 states."""
 
 import json
 from pathlib import Path
@@ -62,7 +62,7 @@ def test_the_stars_are_identified_and_none_wrongly(chain, sensed):
 
 def test_filter_sees_only_frames_that_nothing_else_has_learnt_from(chain, sensed):
     n = len(sensed[1])
-    assert chain.stream.counts.frames == n - n // 2
+    assert chain.calibrator.counts.frames == n - n // 2
     assert chain.steps[3].camera.frames <= n // 2 - n // 4
 
 

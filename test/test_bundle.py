@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from starcal_ros import calibration
 from starcal_ros.calibration import bundle_adjustment
-from starcal_ros.calibration.bundle_adjustment import Spots, adjust
+from starcal_ros.calibration.bundle_adjustment import Observations, adjust
 from starcal_ros.calibration.bundle_start import attitudes
 from starcal_ros.calibration.methods import bundle as bundle_method
 from starcal_ros.config import parameter_file
@@ -39,8 +39,8 @@ def scene(rng, frames, stars, sigma=SIGMA, spread_deg=4.0):
     seen = (np.abs(uv) < 512).all(axis=-1)
     frame, star = np.nonzero(seen)
     uv = uv[seen] + sigma * rng.standard_normal((seen.sum(), 2))
-    return Spots(frame, uv, np.full(len(uv), max(sigma, 1e-3)), u[star],
-                 np.full(len(uv), -1)), C_si, u, star
+    return Observations(frame, uv, np.full(len(uv), max(sigma, 1e-3)), u[star],
+                        np.full(len(uv), -1)), C_si, u, star
 
 
 def without_places(spots, star):
@@ -63,8 +63,8 @@ def test_without_noise_the_camera_is_found_exactly():
     spots, C_si, u, star = scene(rng, 12, 60, sigma=0.0)
     known = adjust(spots, START, jittered(C_si, rng), NO_POINTS, PITCH, WIDE, GATE)
     np.testing.assert_allclose(known.intrinsics, TRUE, rtol=1e-6, atol=1e-10)
-    nameless, seen = without_places(spots, star)
-    free = adjust(nameless, START, jittered(C_si, rng), u[seen], PITCH, WIDE, GATE)
+    unidentified, seen = without_places(spots, star)
+    free = adjust(unidentified, START, jittered(C_si, rng), u[seen], PITCH, WIDE, GATE)
     np.testing.assert_allclose(free.intrinsics, TRUE, rtol=1e-5, atol=1e-8)
     assert np.abs(known.residual).max() < 1e-6 and np.abs(free.residual).max() < 1e-6
 
@@ -146,8 +146,8 @@ def test_wrong_stars_are_let_go(part, where):
     assert np.degrees(np.linalg.norm(rotation.log(start @ np.swapaxes(C_si, -1, -2)),
                                      axis=-1)).max() < 1.4         # a tenth of the field
     found = adjust(spots, START, start, NO_POINTS, PITCH, PRIOR_P, GATE)
-    alone = adjust(Spots(*(column[~wrong] for column in spots)), START, start, NO_POINTS, PITCH,
-                   PRIOR_P, GATE)
+    alone = adjust(Observations(*(column[~wrong] for column in spots)), START, start,
+                   NO_POINTS, PITCH, PRIOR_P, GATE)
     assert not found.used[wrong].any() and found.used[~wrong].mean() > 0.998
     sigma = np.sqrt(np.diag(alone.covariance))
     np.testing.assert_allclose((found.intrinsics - alone.intrinsics) / sigma, 0.0, atol=2e-3)
@@ -156,12 +156,12 @@ def test_wrong_stars_are_let_go(part, where):
 def test_groups_that_share_no_star_each_keep_one_attitude():
     rng = np.random.default_rng(6)
     spots, C_si, u, star = scene(rng, 6, 40, sigma=0.0)
-    nameless, seen = without_places(spots, star)
+    unidentified, seen = without_places(spots, star)
     count = int(seen.sum())
-    twice = Spots(*(np.concatenate(pair) for pair in (
-        (nameless.frame, nameless.frame + 6), (nameless.uv, nameless.uv),
-        (nameless.sigma, nameless.sigma), (nameless.u_i, nameless.u_i),
-        (nameless.point, nameless.point + count))))
+    twice = Observations(*(np.concatenate(pair) for pair in (
+        (unidentified.frame, unidentified.frame + 6), (unidentified.uv, unidentified.uv),
+        (unidentified.sigma, unidentified.sigma), (unidentified.u_i, unidentified.u_i),
+        (unidentified.point, unidentified.point + count))))
     turn = rotation.exp(np.array([0.3, -0.2, 1.0]))
     found = adjust(twice, START, np.concatenate((C_si, C_si @ turn.T)),
                    np.concatenate((u[seen], u[seen] @ turn.T)), PITCH, WIDE, GATE)
@@ -178,8 +178,8 @@ def test_attitudes_solve_wahbas_problem():
 
 
 @pytest.fixture(scope='module')
-def nameless():
-    """Return the gyro readings and the nameless frames of two slews, and the scenario."""
+def unidentified():
+    """Return the gyro readings and the unidentified frames of two slews, and the scenario."""
     scenario = parameter_file.load(CONFIG).replace({
         'simulation.duration_s': 200.0, 'intrinsics.method': 'bundle',
         'camera.focal_length_mm': 23.0, 'estimator.initial_sigma.focal_length_mm': 2.5})
@@ -188,9 +188,9 @@ def nameless():
     return gyro.next(gyro.count), replace(frames, catalog_id=0 * frames.catalog_id), scenario
 
 
-def test_spots_without_a_name_give_camera_and_distortion(nameless):
+def test_spots_without_a_name_give_camera_and_distortion(unidentified):
     """From a focal length that is a tenth wrong, with the gyro and without."""
-    gyro, frames, scenario = nameless
+    gyro, frames, scenario = unidentified
     found = []
     for readings in (gyro, GyroSamples.empty()):
         method = calibration.start(scenario)
@@ -205,17 +205,17 @@ def test_spots_without_a_name_give_camera_and_distortion(nameless):
     assert 0.95 * bundle_method.FRAMES < found[0].frames <= bundle_method.FRAMES
 
 
-def test_frames_that_show_nothing_give_no_camera(nameless):
-    gyro, frames, scenario = nameless
+def test_frames_that_show_nothing_give_no_camera(unidentified):
+    gyro, frames, scenario = unidentified
     method = calibration.start(scenario)
     assert method.estimate() is None
     method.add_frames(frames[:2])
     assert method.estimate() is None
 
 
-def test_spots_that_no_camera_fits_give_none_and_it_is_said(nameless):
+def test_spots_that_no_camera_fits_give_none_and_it_is_said(unidentified):
     """Random spots: the tracks are chance, and next to nothing of them agrees with any camera."""
-    _, frames, scenario = nameless
+    _, frames, scenario = unidentified
     rng = np.random.default_rng(8)
     uv = rng.uniform(0.0, 1023.0, frames.uv_raster.shape)
     method = calibration.start(scenario)
@@ -226,16 +226,16 @@ def test_spots_that_no_camera_fits_give_none_and_it_is_said(nameless):
 def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     rng = np.random.default_rng(9)
     spots, C_si, u, star = scene(rng, 12, 60)
-    nameless, seen = without_places(spots, star)
-    problem = bundle_adjustment._Problem(nameless, START, PITCH, WIDE)
+    unidentified, seen = without_places(spots, star)
+    problem = bundle_adjustment._Problem(unidentified, START, PITCH, WIDE)
     state = bundle_adjustment._State(START, C_si, u[seen])
-    lost = nameless.point == 5
+    lost = unidentified.point == 5
     normal = problem.normal(state, np.where(lost, 0.0, 1.0 / SIGMA), problem.residual(state))
     step = normal.solve()
     assert not step.point[5].any() and np.isfinite(step.camera).all()
-    without = nameless._replace(point=np.where(nameless.point > 5, nameless.point - 1,
-                                               nameless.point))
-    without = Spots(*(part[~lost] for part in without))
+    without = unidentified._replace(point=np.where(unidentified.point > 5, unidentified.point - 1,
+                                                   unidentified.point))
+    without = Observations(*(part[~lost] for part in without))
     other = bundle_adjustment._Problem(without, START, PITCH, WIDE).normal(
         state._replace(points=np.delete(state.points, 5, axis=0)),
         np.full((~lost).sum(), 1.0 / SIGMA))

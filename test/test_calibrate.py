@@ -14,7 +14,7 @@ from starcal_ros.config.scenario import stamp_ns
 from starcal_ros.core import rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import CALIBRATED, PHI, STATE_NAMES
 from starcal_ros.recording import reader
@@ -79,9 +79,9 @@ def recording(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def short(recording):
-    """Return the calibration of the recording: stream, history, RESULT.json."""
-    stream, history = calibrate(recording.gyro, recording.frames, SHORT)
-    return stream, history, result(stream, {})
+    """Return the calibration of the recording: calibrator, history, RESULT.json."""
+    calibrator, history = calibrate(recording.gyro, recording.frames, SHORT)
+    return calibrator, history, result(calibrator, {})
 
 
 def test_recording_holds_its_scenario_and_every_message(recording):
@@ -117,18 +117,18 @@ def test_all_messages_of_the_recording_are_used(short):
 def test_recorded_messages_give_the_bits_that_the_sensors_gave(short):
     """Offline and live: the same numbers from the same messages, through a file or not."""
     gyro, tracker = sensors.gyro(SHORT), sensors.star_tracker(SHORT)
-    stream, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
+    calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
     # sigma travels as a float32: 3e-8 of itself, and of the estimates' sigmas hardly more
-    difference = stream.belief.nominal.minus(short[0].belief.nominal)
+    difference = calibrator.belief.nominal.minus(short[0].belief.nominal)
     np.testing.assert_allclose(difference / short[0].belief.sigma, 0.0, atol=1e-5)
 
 
 def test_history_is_that_of_the_estimates(short):
-    stream, history, outcome = short
+    calibrator, history, outcome = short
     assert len(history.stamp_ns) == 2184 and (np.diff(history.stamp_ns) == 5 * 10**8).all()
     np.testing.assert_array_equal(history.intrinsics[-1], list(outcome['intrinsics'].values()))
     np.testing.assert_allclose(history.bias[-1] / DEG_PER_HOUR, outcome['gyro_bias_deg_h'])
-    np.testing.assert_array_equal(history.sigma[-1], stream.belief.sigma)
+    np.testing.assert_array_equal(history.sigma[-1], calibrator.belief.sigma)
     # constants are only ever known better, but for rounding; Psi is counted in axes that move
     lens = history.sigma[:, 9:]
     assert (lens[1:] <= lens[:-1] * (1 + 1e-9)).all()
@@ -141,8 +141,8 @@ def test_progress_is_told_up_to_the_end(recording):
 
 
 def test_gyro_alone_gives_no_history(recording):
-    stream, history = calibrate(recording.gyro[:1000], recording.frames[:0], SHORT)
-    assert stream.belief is None and len(history.stamp_ns) == 0
+    calibrator, history = calibrate(recording.gyro[:1000], recording.frames[:0], SHORT)
+    assert calibrator.belief is None and len(history.stamp_ns) == 0
 
 
 def test_open_loop_filter_of_the_paper_runs_and_knows_as_much(recording, short):
@@ -151,19 +151,19 @@ def test_open_loop_filter_of_the_paper_runs_and_knows_as_much(recording, short):
     From 10 px and 0.1 mm the linear model is off by more than its own sigmas, which are those of
     a camera without distortion: p1 and p2 by a fifth.
     """
-    stream, _ = calibrate(recording.gyro, recording.frames,
-                          SHORT.replace({'estimator.feedback': False}))
-    outcome = result(stream, {})
+    calibrator, _ = calibrate(recording.gyro, recording.frames,
+                              SHORT.replace({'estimator.feedback': False}))
+    outcome = result(calibrator, {})
     ratio = sigmas(outcome) / sigmas(short[2])
     assert (np.abs(np.log2(ratio)) < 1.0).all()
     truth = json.loads(recording.attachments[TRUTH_ATTACHMENT])
     error = errors_from(outcome, truth)
     initial = errors_from({**outcome, 'intrinsics': dict(zip(
-        INTRINSICS_KEYS, stream.filter.start.intrinsics.tolist()))}, truth)
+        INTRINSICS_KEYS, calibrator.filter.start.intrinsics.tolist()))}, truth)
     assert (np.abs(error) < np.abs(initial))[6:].all()          # each of the camera's is better
     assert np.abs(error).max() > np.abs(errors_from(short[2], truth)).max()
-    np.testing.assert_array_equal(stream.belief.nominal.intrinsics,
-                                  stream.filter.start.intrinsics)
+    np.testing.assert_array_equal(calibrator.belief.nominal.intrinsics,
+                                  calibrator.filter.start.intrinsics)
 
 
 # T18 Sec. 3.1
@@ -177,12 +177,12 @@ class FullRun:
         frames = tracker.next(tracker.count)
         self.stars_per_frame = frames.star_counts.mean()
         self.truth = Truth.from_scenario(FULL)
-        self.stream = Stream(FULL)
-        self.stream.add_gyro(gyro.next(gyro.count))
-        self.stream.add_frames(frames)
-        C_gi = np.array([frame.belief.estimate.C_gi for frame in self.stream.process()])
+        self.calibrator = Calibrator(FULL)
+        self.calibrator.add_gyro(gyro.next(gyro.count))
+        self.calibrator.add_frames(frames)
+        C_gi = np.array([frame.belief.estimate.C_gi for frame in self.calibrator.process()])
         self.phi = rotation.log(self.truth.motion.attitude(frames.stamp_ns) @ C_gi)
-        self.outcome = result(self.stream, {})
+        self.outcome = result(self.calibrator, {})
 
 
 @pytest.fixture(scope='module')
@@ -223,7 +223,7 @@ def test_attitude_of_the_second_hour_is_that_of_the_bound(full):
     rms = np.sqrt(np.mean(full.phi[7200:]**2, axis=0)) / ARCSEC
     assert len(full.phi) == 14_400
     assert (rms < 0.5).all()
-    sigma = full.stream.belief.sigma[PHI] / ARCSEC
+    sigma = full.calibrator.belief.sigma[PHI] / ARCSEC
     assert (rms < 3.5 * sigma).all()
 
 
@@ -242,9 +242,9 @@ def external():
         pytest.skip(f'{EXTERNAL.name} is not beside this checkout')
     recording = reader.read(EXTERNAL)
     scenario = parameter_file.load(EXTERNAL / 'config.yaml')
-    stream, _ = calibrate(recording.gyro, recording.frames, scenario)
+    calibrator, _ = calibrate(recording.gyro, recording.frames, scenario)
     truth = json.loads((EXTERNAL / 'truth.json').read_text())
-    return recording, stream, result(stream, {}), truth
+    return recording, calibrator, result(calibrator, {}), truth
 
 
 def test_external_recording_gives_its_truth_within_the_stated_sigmas(external):
@@ -258,19 +258,19 @@ def test_external_recording_gives_its_truth_within_the_stated_sigmas(external):
 
 
 def test_external_recording_gives_its_final_attitude(external):
-    recording, stream, outcome, truth = external
+    recording, calibrator, outcome, truth = external
     assert outcome['attitude_final']['stamp_ns'] == recording.gyro.stamp_ns[-1]
     C_gi = rotation.to_matrix(np.array(truth['final_attitude_g_to_i_xyzw']))
-    since_frame_s = 1e-9 * (recording.gyro.stamp_ns[-1] - stream.stamp_ns)
+    since_frame_s = 1e-9 * (recording.gyro.stamp_ns[-1] - calibrator.stamp_ns)
     assert np.abs(attitude_error(outcome, C_gi, since_frame_s)).max() < 3.5
 
 
 def test_external_recording_is_used_whole(external):
-    recording, stream, outcome, truth = external
+    recording, calibrator, outcome, truth = external
     counts = outcome['counts']
     assert (counts['gyro'], counts['frames']) == (30_000, truth['frames'])
     assert counts['unusable_stars'] == counts['dropped_messages'] == 0
-    assert stream.waiting == 0 and recording.warnings == ()
+    assert calibrator.waiting == 0 and recording.warnings == ()
 
 
 # What leaving aberration out costs

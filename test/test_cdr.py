@@ -13,7 +13,7 @@ from starcal_ros.messages import cdr_pointcloud
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu, encode_imu
 from starcal_ros.messages.cdr_pointcloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
-                                                 with_numbers)
+                                                 with_catalog_ids)
 
 STORE = get_typestore(Stores.ROS2_KILTED)
 TYPES = STORE.types
@@ -280,7 +280,7 @@ def test_numbers_change_and_all_else_stays(order, rows, pad, pad_last, id_type, 
         points[name] = np.arange(6) + 10 * k
     message = cloud(points, 'lens', 5 * 10**9 + 7, rows, pad, order, little_endian, pad_last)
     given = Messages.join([message])
-    changed = Messages.join([with_numbers(message, NUMBERED)])
+    changed = Messages.join([with_catalog_ids(message, NUMBERED)])
     before, after = decode_centroids(given), decode_centroids(changed)
     assert_same(replace(before, catalog_id=NUMBERED), after)
     read, original = (STORE.deserialize_cdr(m.data.tobytes(), CLOUD_TYPE)
@@ -304,10 +304,10 @@ def test_numbers_change_and_all_else_stays(order, rows, pad, pad_last, id_type, 
 
 def test_a_frame_without_stars_goes_through_as_it_is():
     message, = encode_centroids(FRAMES[1:2])
-    assert with_numbers(message, np.empty(0, np.int64)) == message
+    assert with_catalog_ids(message, np.empty(0, np.int64)) == message
 
 
 def test_a_field_that_can_not_hold_a_number_is_an_error():
     points = np.zeros(2, [('u', 'f8'), ('v', 'f8'), ('catalog_id', 'u2')])
     with pytest.raises(RecordError, match="'catalog_id' of a .* is uint16, too small"):
-        with_numbers(cloud(points), np.array([1, 2]))
+        with_catalog_ids(cloud(points), np.array([1, 2]))

@@ -19,7 +19,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.recording import reader
 from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
 from starcal_ros.results import initial
-from starcal_ros.results.store import Archive
+from starcal_ros.results.store import CalibrationStore
 from starcal_ros.simulation import sensors
 
 TOP = Path(__file__).resolve().parents[1]
@@ -310,7 +310,7 @@ def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path
     assert sorted(path.name for path in (tmp_path / 'export').iterdir()) == [
         'camchain.yaml', 'camera_info.yaml', 'imu.yaml']
     outcome = json.loads((tmp_path / 'result.json').read_text())
-    folder = Archive(tmp_path / 'saved').save(initial.files(outcome, scenario))
+    folder = CalibrationStore(tmp_path / 'saved').save(initial.files(outcome, scenario))
     second = starcal(*words)
     assert second.status == 0 and f'calibration {folder}' in ' '.join(second.err.split())
     better = json.loads((tmp_path / 'result.json').read_text())

@@ -54,8 +54,8 @@ def test_all_nodes_in_one_process_lose_nothing_as_fast_as_they_go(start, tmp_pat
     read = reader.read(recording)
     np.testing.assert_array_equal(read.gyro.rate, sensors.gyro(SCENARIO).next(6000).rate)
     assert len(read.frames) == 120
-    stream, _ = calibrate(read.gyro, read.frames, SCENARIO)
-    assert processes.compare(recording, stream) < 1e-9
+    calibrator, _ = calibrate(read.gyro, read.frames, SCENARIO)
+    assert processes.compare(recording, calibrator) < 1e-9
     counts = {topic.topic: topic.count for topic in reader.summary(recording).topics}
     assert (counts['/starcal/imu'], counts['/starcal/state']) == (6000, 120)
 

@@ -14,11 +14,11 @@ from starcal_ros.evaluation import bounds, consistency, montecarlo
 from starcal_ros.evaluation.batch import run_batch
 from starcal_ros.evaluation.bounds import cramer_rao
 from starcal_ros.filter.acquisition import AcquisitionError
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
 from starcal_ros.measurements.samples import Frames
-from starcal_ros.measurements.star_directions import Places
+from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
@@ -116,7 +116,7 @@ def test_bounds_at_several_times_are_those_of_runs_of_these_lengths():
 
 def apparent(scenario, frames: Frames):
     """Return the apparent places of the stars of frames."""
-    return Places(scenario).of(frames).stars.u_i
+    return StarDirections(scenario).of(frames).stars.u_i
 
 
 # The filter
@@ -145,16 +145,16 @@ def test_filter_is_consistent_and_at_the_bound(runs, bound):
 def test_batch_gives_each_seed_what_a_single_stream_gives(runs):
     for row in (0, RUNS - 1):
         scenario = SCENARIO.replace({'simulation.seed': int(runs.seed[row])})
-        stream = Stream(scenario)
-        stream.add_gyro(sensors.gyro(scenario).next(10**6))
-        stream.add_frames(sensors.star_tracker(scenario).next(10**6))
-        nis = sum(frame.nis for frame in stream.process())
-        np.testing.assert_allclose(runs.sigma[row, -1], stream.belief.sigma, rtol=1e-9)
-        bias = stream.belief.estimate.bias - Truth.from_scenario(scenario).bias
+        calibrator = Calibrator(scenario)
+        calibrator.add_gyro(sensors.gyro(scenario).next(10**6))
+        calibrator.add_frames(sensors.star_tracker(scenario).next(10**6))
+        nis = sum(frame.nis for frame in calibrator.process())
+        np.testing.assert_allclose(runs.sigma[row, -1], calibrator.belief.sigma, rtol=1e-9)
+        bias = calibrator.belief.estimate.bias - Truth.from_scenario(scenario).bias
         np.testing.assert_allclose(runs.error[row, -1][EPSILON], bias, rtol=1e-6)
         assert runs.nis[row] == pytest.approx(nis, rel=1e-9)
-        assert runs.nis_degrees[row] == 2 * stream.counts.stars
-        np.testing.assert_allclose(runs.reprojection_rms[row], stream.reprojection_rms_px,
+        assert runs.nis_degrees[row] == 2 * calibrator.counts.stars
+        np.testing.assert_allclose(runs.reprojection_rms[row], calibrator.reprojection_rms_px,
                                    rtol=1e-9)
 
 

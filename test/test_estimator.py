@@ -14,7 +14,7 @@ from starcal_ros.config.scenario import from_flat
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
 from starcal_ros.filter.belief import Belief, Nominal
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
 from starcal_ros.filter.states import (CALIBRATED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE,
                                        STATE_NAMES, STATE_UNITS, THETA, UNIT)
@@ -338,15 +338,15 @@ def known(truth):
     return Belief(truth, np.zeros(16), np.diag(np.full(16, 1e-6)))
 
 
-def test_star_outside_the_gate_is_refused_and_changes_nothing():
+def test_star_outside_the_gate_is_rejected_and_changes_nothing():
     truth, edge = some_values(), 0.05 * np.sqrt(FILTER.gate)
     clean = stars_of(truth)
     clean = clean._replace(uv=FILTER.predict_centroids(truth, clean.u_i)[0])
-    for off, refused in ((0.99 * edge, False), (1.01 * edge, True)):
+    for off, rejected in ((0.99 * edge, False), (1.01 * edge, True)):
         uv = clean.uv.copy()
         uv[4, 1] += off
         update = FILTER.update(known(truth), clean._replace(uv=uv))
-        assert update.accepted.tolist() == [k != 4 or not refused for k in range(12)]
+        assert update.accepted.tolist() == [k != 4 or not rejected for k in range(12)]
     keep = np.arange(12) != 4
     without = FILTER.update(known(truth), Stars(*(part[keep] for part in clean)))
     np.testing.assert_allclose(update.belief.nominal.minus(without.belief.nominal), 0.0,
@@ -487,7 +487,7 @@ def test_batch_begins_propagates_and_is_updated_as_single_runs_are():
 
 
 class Run:
-    """A stream of frames whose truth was drawn from the filter's own initial sigmas."""
+    """A calibrator of frames whose truth was drawn from the filter's own initial sigmas."""
 
     def __init__(self, seed, duration_s):
         rng = np.random.default_rng([20180314, seed])
@@ -507,10 +507,10 @@ class Run:
             'truth.camera.distortion': tuple(drawn.intrinsics[3:].tolist())})
         self.truth = Truth.from_scenario(scenario)
         gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
-        self.stream = Stream(scenario)
-        self.stream.add_gyro(gyro.next(gyro.count))
-        self.stream.add_frames(tracker.next(tracker.count))
-        self.frames = list(self.stream.process())
+        self.calibrator = Calibrator(scenario)
+        self.calibrator.add_gyro(gyro.next(gyro.count))
+        self.calibrator.add_frames(tracker.next(tracker.count))
+        self.frames = list(self.calibrator.process())
 
     def nees(self, k):
         """Return the NEES after a frame."""
@@ -569,4 +569,4 @@ def test_innovations_are_consistent(runs, request):
 def test_every_frame_of_the_drawn_runs_gave_a_result(short_runs, long_runs):
     assert {len(run.frames) for run in short_runs} == {40}
     assert {len(run.frames) for run in long_runs} == {400}
-    assert {run.stream.counts.acquisitions for run in short_runs + long_runs} == {1}
+    assert {run.calibrator.counts.acquisitions for run in short_runs + long_runs} == {1}

@@ -260,9 +260,10 @@ def test_numbers_come_without_a_gyro_and_damaged_clouds_are_dropped(start, param
     peer.until(lambda: publisher.get_subscription_count() and peer.gyro.get_subscription_count()
                and peer.node.count_publishers('star_tracker/centroids') == 2)
     truth = sensors.star_tracker(SCENARIO).next(FRAMES)
-    nameless = encode_centroids(replace(truth, catalog_id=np.zeros_like(truth.catalog_id)), 'lens')
+    unidentified = encode_centroids(replace(truth, catalog_id=np.zeros_like(truth.catalog_id)),
+                                    'lens')
     publisher.publish(b'\0\1\0\0' + bytes(20))
-    for k, message in enumerate(nameless):
+    for k, message in enumerate(unidentified):
         publisher.publish(message)
         if k % 10 == 0:
             publisher.publish(PointCloud2(width=1, height=1, point_step=4, data=bytes(4)))
@@ -276,7 +277,7 @@ def test_numbers_come_without_a_gyro_and_damaged_clouds_are_dropped(start, param
     # All but the numbers is what came, byte by byte.
     assert [encode_centroids(replace(frame, catalog_id=np.zeros_like(frame.catalog_id)), 'lens')
             for frame in map(frames_of, ([message] for message in stars))] == [
-                [message] for message in nameless]
+                [message] for message in unidentified]
     assert said.count('message dropped') == 1 and '5 damaged message' in said
 
 

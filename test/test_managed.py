@@ -146,9 +146,9 @@ def test_recorder_has_both_parts_and_the_nine_qos_policies_of_the_sensor(
 
 def test_offline_calibration_of_the_recording_gives_the_same_numbers(process, peer, output):
     recording = reader.read(output)
-    stream, _ = calibrate(recording.gyro, recording.frames, SCENARIO)
+    calibrator, _ = calibrate(recording.gyro, recording.frames, SCENARIO)
     np.testing.assert_array_equal(
-        peer.states[-1].data, conventions.state_vector(stream.stamp_ns, stream.belief))
+        peer.states[-1].data, conventions.state_vector(calibrator.stamp_ns, calibrator.belief))
 
 
 def test_what_keeps_a_node_from_its_next_state_is_said_and_it_stays(process, peer):

@@ -14,12 +14,12 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs, run_batch
-from starcal_ros.evaluation.montecarlo import BATCH, Study
+from starcal_ros.evaluation.montecarlo import BATCH, MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 20.0})
-STUDY = Study.of(SCENARIO, BATCH + 3, 'star_tracker.centroid_sigma_px=0.05,0.1')
+STUDY = MonteCarlo.of(SCENARIO, BATCH + 3, 'star_tracker.centroid_sigma_px=0.05,0.1')
 
 
 def assert_same(runs, expected):
@@ -101,7 +101,7 @@ def test_command_writes_a_summary(tmp_path, capsys):
 ])
 def test_wrong_sweep_is_named(sweep, culprit, capsys):
     with pytest.raises(ConfigError, match=culprit):
-        Study.of(SCENARIO, 3, sweep)
+        MonteCarlo.of(SCENARIO, 3, sweep)
     assert cli.main(['montecarlo', '--sweep', sweep]) == 2
     assert culprit in capsys.readouterr().err
 

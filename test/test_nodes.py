@@ -55,8 +55,8 @@ def recorded(live):
 
 @pytest.fixture(scope='module')
 def offline(recorded):
-    stream, _ = calibrate(recorded.gyro, recorded.frames, SCENARIO)
-    return stream
+    calibrator, _ = calibrate(recorded.gyro, recorded.frames, SCENARIO)
+    return calibrator
 
 
 def messages(path, topic):

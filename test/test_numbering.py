@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A live stream of nameless frames gets its numbers, whatever comes with it."""
+"""A live stream of unidentified frames gets its catalogue numbers, whatever comes with it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ pytest.importorskip('tetra3rs')
 
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.identification import frame_identifier  # noqa: E402
-from starcal_ros.identification.frame_identifier import Numbering  # noqa: E402
+from starcal_ros.identification.frame_identifier import FrameIdentifier  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
@@ -28,13 +28,13 @@ def readings():
     return gyro.next(gyro.count), tracker.next(tracker.count)
 
 
-def nameless(frames):
+def unidentified(frames):
     return replace(frames, catalog_id=np.zeros_like(frames.catalog_id))
 
 
 def run(numbering, frames, wait=False):
     """Give frames, return the numbers of all that come back."""
-    numbering.add_frames(nameless(frames))
+    numbering.add_frames(unidentified(frames))
     return list(numbering.process(wait))
 
 
@@ -48,7 +48,7 @@ def assert_right(numbers, frames, most_missing=0.1):
 
 def test_frames_are_tracked_by_the_gyro_however_they_are_cut(readings):
     gyro, frames = readings
-    whole, pieces = Numbering(SCENARIO), Numbering(SCENARIO)
+    whole, pieces = FrameIdentifier(SCENARIO), FrameIdentifier(SCENARIO)
     whole.add_gyro(gyro)
     at_once = run(whole, frames, wait=True)
     at_once += list(whole.process(False))       # the last reading is before the last frame
@@ -69,7 +69,7 @@ def test_frames_are_tracked_by_the_gyro_however_they_are_cut(readings):
 
 def test_a_frame_waits_for_the_readings_up_to_its_stamp_and_holds_those_behind_it(readings):
     gyro, frames = readings
-    numbering = Numbering(SCENARIO)
+    numbering = FrameIdentifier(SCENARIO)
     assert run(numbering, frames[:4], wait=True) == []
     numbering.add_gyro(gyro[gyro.stamp_ns < frames.stamp_ns[2]])
     assert len(list(numbering.process(True))) == 2
@@ -79,7 +79,7 @@ def test_a_frame_waits_for_the_readings_up_to_its_stamp_and_holds_those_behind_i
 
 
 def test_without_a_gyro_the_last_rate_goes_on(readings):
-    numbering = Numbering(SCENARIO)
+    numbering = FrameIdentifier(SCENARIO)
     assert_right(run(numbering, readings[1]), readings[1])
     assert numbering.take_counts()['frames found by a search'] <= 4     # at first, at the corners
 
@@ -89,7 +89,7 @@ def test_readings_that_are_late_twice_or_no_numbers_change_nothing(readings):
     rate = gyro.rate.copy()
     rate[::100] = np.nan
     disturbed = GyroSamples(gyro.stamp_ns, rate)
-    clean, numbering = Numbering(SCENARIO), Numbering(SCENARIO)
+    clean, numbering = FrameIdentifier(SCENARIO), FrameIdentifier(SCENARIO)
     clean.add_gyro(gyro.take(np.isfinite(rate[:, 0])))
     for k in range(0, len(gyro), 200):
         numbering.add_gyro(disturbed[k:k + 200])
@@ -101,7 +101,7 @@ def test_readings_that_are_late_twice_or_no_numbers_change_nothing(readings):
 def test_a_clock_that_is_set_back_costs_a_search(readings):
     """The readings of a recording that is played in a loop, and its frames."""
     gyro, frames = readings
-    numbering = Numbering(SCENARIO)
+    numbering = FrameIdentifier(SCENARIO)
     numbering.add_gyro(gyro[:3000])
     numbers = run(numbering, frames[:40])
     numbering.add_gyro(GyroSamples.concatenate((gyro[3000:], gyro)))
@@ -114,7 +114,7 @@ def test_a_wrong_stamp_of_the_gyro_is_got_over(readings):
     gyro, frames = readings
     stamp_ns = gyro.stamp_ns.copy()
     stamp_ns[1000] += 3600 * 10**9
-    numbering, numbers = Numbering(SCENARIO), []
+    numbering, numbers = FrameIdentifier(SCENARIO), []
     for k in range(FRAMES):
         numbering.add_gyro(GyroSamples(stamp_ns, gyro.rate)[50 * k:50 * (k + 1)])
         numbers += run(numbering, frames[k:k + 1])
@@ -132,7 +132,7 @@ def test_what_the_fields_of_a_frame_may_hold_is_borne(readings):
     uv[odd == 0], uv[odd == 1] = np.nan, 1e300
     magnitude[odd == 2], magnitude[odd == 3], magnitude[odd == 4] = np.inf, -np.inf, -1e4
     sigma[odd == 5], sigma[odd == 6] = np.nan, -1.0
-    numbering = Numbering(SCENARIO)
+    numbering = FrameIdentifier(SCENARIO)
     numbers = run(numbering, replace(frames, uv_raster=uv, magnitude=magnitude, sigma=sigma))
     assert_right(numbers, frames, 0.7)
     assert not np.concatenate(numbers)[np.isin(odd, [0, 1, 5, 6])].any()
@@ -144,7 +144,7 @@ def test_what_the_fields_of_a_frame_may_hold_is_borne(readings):
 def test_mirrored_stars_are_told_and_get_no_number(readings):
     frames = readings[1][:2]
     uv = frames.uv_raster * [-1.0, 1.0] + [SCENARIO.camera.width - 1.0, 0.0]
-    numbering = Numbering(SCENARIO)
+    numbering = FrameIdentifier(SCENARIO)
     numbers = run(numbering, replace(frames, uv_raster=uv))
     assert not np.concatenate(numbers).any()
     assert len(numbering.take_notices()) == 2 and not numbering.take_notices()
@@ -154,7 +154,7 @@ def test_readings_without_frames_do_not_fill_the_memory(readings, monkeypatch):
     monkeypatch.setattr(frame_identifier, '_GYRO_KEPT', 500)
     monkeypatch.setattr(frame_identifier, '_PARTS', 100)
     gyro, frames = readings
-    numbering = Numbering(SCENARIO)
+    numbering = FrameIdentifier(SCENARIO)
     for k in range(len(gyro)):
         numbering.add_gyro(gyro[k:k + 1])
     assert sum(map(len, numbering._gyro)) <= 600

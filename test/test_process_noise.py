@@ -15,7 +15,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
 from starcal_ros.filter import process_noise
 from starcal_ros.filter.belief import Belief, Nominal
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import EPSILON, LENS, N_STATES, PSI, SCALE, STATE_NAMES, THETA
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
@@ -150,10 +150,10 @@ class Walking:
         scenario = SCENARIO.replace({'simulation.duration_s': seconds, 'simulation.seed': seed,
                                      **({GROUP + name: density} if modelled else {})})
         rng = np.random.default_rng([20180314, seed])
-        self.stream = Stream(scenario)
-        sigma = self.stream.filter.initial_sigma.copy()
+        self.calibrator = Calibrator(scenario)
+        sigma = self.calibrator.filter.initial_sigma.copy()
         sigma[THETA] = 0.0                      # the attitude is found from the stars
-        start = self.stream.filter.start.without(sigma * rng.normal(size=16))
+        start = self.calibrator.filter.start.without(sigma * rng.normal(size=16))
         gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
         samples, simulated = gyro.next(gyro.count), tracker.truth
         states, unit = next((states, unit) for kind, states, unit in KINDS if kind == name)
@@ -169,11 +169,11 @@ class Walking:
                                 intrinsics=truth.intrinsics + lens)
             tracker.truth = truth
             frames.append(tracker.next(1))
-        self.stream.add_gyro(GyroSamples(samples.stamp_ns,
-                                         samples.rate - simulated.bias + bias))
-        self.stream.add_frames(Frames.concatenate(frames))
-        list(self.stream.process())
-        stamp = np.array([self.stream.stamp_ns])
+        self.calibrator.add_gyro(GyroSamples(samples.stamp_ns,
+                                             samples.rate - simulated.bias + bias))
+        self.calibrator.add_frames(Frames.concatenate(frames))
+        list(self.calibrator.process())
+        stamp = np.array([self.calibrator.stamp_ns])
         last = np.searchsorted(samples.stamp_ns, stamp)[0]
         self.truth = Nominal(simulated.motion.attitude(stamp)[0].T, bias[last], truth.C_sg,
                              truth.intrinsics)
@@ -181,7 +181,7 @@ class Walking:
     @property
     def normalised(self):
         """Errors of the states in their own sigmas, the attitude that of the tracker."""
-        belief = self.stream.belief
+        belief = self.calibrator.belief
         error = belief.estimate.minus(self.truth)
         return error / np.concatenate((belief.tracker_sigma, belief.sigma[3:]))
 
@@ -205,4 +205,4 @@ def test_estimates_of_walking_states_are_consistent(name, density):
     """Mean NEES of 30 runs, through a rotation, in its 99.9 % chi-square interval."""
     runs = [Walking(name, density, 100.0, seed) for seed in range(30)]
     low, high = chi2.ppf([0.0005, 0.9995], 16 * len(runs)) / len(runs)
-    assert low < np.mean([run.stream.belief.nees(run.truth) for run in runs]) < high
+    assert low < np.mean([run.calibrator.belief.nees(run.truth) for run in runs]) < high

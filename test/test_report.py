@@ -233,8 +233,8 @@ def test_convergence_has_a_chart_a_state_with_its_bound(history):
 
 def test_equivalent_principal_point_is_drawn_with_the_sigma_of_the_verdict(history):
     gyro, tracker = sensors.gyro(SHORT), sensors.star_tracker(SHORT)
-    stream, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
-    judged = verdict.judge(stream.filter, stream.belief)
+    calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
+    judged = verdict.judge(calibrator.filter, calibrator.belief)
     charts = time_charts.equivalent_principal_point(history, None, 0.00645)
     for chart, sigma in zip(charts, judged.equivalent_sigma_px):
         assert chart.figure.data[1].y[-1] == pytest.approx(3.0 * sigma, rel=1e-5)
@@ -258,7 +258,7 @@ def test_history_has_the_residuals_of_every_star(history):
 
 
 def test_residual_map_has_rms_mean_and_count_of_each_cell():
-    """Two stars in the first cell, one in the last, a refused one: worked out by hand."""
+    """Two stars in the first cell, one in the last, a rejected one: worked out by hand."""
     detector = Detector(1600, 1600, 0.01)
     stars = Residuals(np.array([[0.0, 0.0], [99.0, 99.4], [1599.4, 1599.4], [800.0, 800.0]]),
                       np.array([[1.0, 0.0], [3.0, 2.0], [0.5, 0.5], [9.0, 9.0]]),

@@ -172,7 +172,7 @@ def test_bias_that_can_not_be_met_is_said(tmp_path):
 @pytest.mark.parametrize('part, below', [(0.5, 'in: f at 0.05.'), (0.9, 'nowhere.')])
 def test_paper_below_the_bound_is_named(part, below, tmp_path):
     """A set of 100 runs has an RMS of half the bound never, of nine tenths often."""
-    study = montecarlo.Study(SCENARIO, 1, table4.KEY, (0.05,))
+    study = montecarlo.MonteCarlo(SCENARIO, 1, table4.KEY, (0.05,))
     bound = montecarlo.bound(SCENARIO) / UNIT
     paper = {name: (float(part * bound[k]) if name == 'f' else float(bound[k]),)
              for k, name in enumerate(STATE_NAMES)}

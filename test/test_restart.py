@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from starcal_ros.config import parameter_file
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI
 from starcal_ros.results import initial, result
-from starcal_ros.results.store import Archive
+from starcal_ros.results.store import CalibrationStore
 from starcal_ros.simulation import sensors
 
 SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
@@ -21,13 +21,13 @@ SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.y
 ASKED = SCENARIO.replace({'estimator.load_calibration': True})
 
 
-def fed(stream, gyro, frames):
-    """Return a stream after messages."""
-    stream.add_gyro(gyro)
-    stream.add_frames(frames)
-    for _ in stream.process():
+def fed(calibrator, gyro, frames):
+    """Return a calibrator after messages."""
+    calibrator.add_gyro(gyro)
+    calibrator.add_frames(frames)
+    for _ in calibrator.process():
         pass
-    return stream
+    return calibrator
 
 
 @pytest.fixture(scope='module')
@@ -40,19 +40,19 @@ def messages():
 def half(messages):
     """A calibration from the first minute."""
     gyro, frames = messages
-    return fed(Stream(SCENARIO), gyro[:6001], frames[:121])
+    return fed(Calibrator(SCENARIO), gyro[:6001], frames[:121])
 
 
 @pytest.fixture
 def archive(tmp_path, half):
     """Return an archive with that calibration."""
-    archive = Archive(tmp_path)
+    archive = CalibrationStore(tmp_path)
     archive.save(initial.files(result.result(half, {'version': '1'}), SCENARIO))
     return archive
 
 
 def test_values_and_covariance_are_those_that_were_saved(archive, half):
-    begun = initial.start(ASKED, archive)
+    begun = initial.initial_values(ASKED, archive)
     filter_, estimate = Filter(begun.scenario, begun.covariance), half.belief.estimate
     np.testing.assert_allclose(filter_.start.intrinsics, estimate.intrinsics, rtol=1e-12)
     np.testing.assert_allclose(filter_.start.bias, estimate.bias, rtol=1e-12)
@@ -70,9 +70,9 @@ def test_values_and_covariance_are_those_that_were_saved(archive, half):
 def test_a_calibration_in_two_parts_is_as_good_as_in_one(archive, messages):
     """The attitude is lost between the parts and found again, which tells little of the rest."""
     gyro, frames = messages
-    begun = initial.start(ASKED, archive)
-    second = fed(Stream(begun.scenario, begun.covariance), gyro[6001:], frames[121:])
-    whole = fed(Stream(SCENARIO), gyro, frames)
+    begun = initial.initial_values(ASKED, archive)
+    second = fed(Calibrator(begun.scenario, begun.covariance), gyro[6001:], frames[121:])
+    whole = fed(Calibrator(SCENARIO), gyro, frames)
     ratio = second.belief.sigma[CALIBRATED] / whole.belief.sigma[CALIBRATED]
     # The frames on both sides of the cut are not tied. A slope, such as the bias, is then known up
     # to twice less well: each half has an eighth of its information. Of 240 ties one is lost.
@@ -80,23 +80,23 @@ def test_a_calibration_in_two_parts_is_as_good_as_in_one(archive, messages):
     error = second.belief.estimate.minus(whole.belief.estimate)[CALIBRATED]
     assert (np.abs(error) < 3.0 * second.belief.sigma[CALIBRATED]).all()
     # from the second minute alone much less
-    alone = fed(Stream(SCENARIO), gyro[6001:], frames[121:])
+    alone = fed(Calibrator(SCENARIO), gyro[6001:], frames[121:])
     assert (alone.belief.sigma[LENS] > 1.2 * second.belief.sigma[LENS]).all()
 
 
 def test_nothing_is_loaded_unless_asked_for(archive):
-    assert initial.start(SCENARIO, archive) == initial.Start(SCENARIO)
+    assert initial.initial_values(SCENARIO, archive) == initial.InitialValues(SCENARIO)
 
 
 def test_without_a_saved_one_the_nominal_values_are_used_and_that_is_said(tmp_path):
-    begun = initial.start(ASKED, Archive(tmp_path / 'none'))
+    begun = initial.initial_values(ASKED, CalibrationStore(tmp_path / 'none'))
     assert begun.scenario == ASKED and begun.covariance is None and begun.source == ''
     assert 'has no calibration' in begun.notices[0]
 
 
 def test_undone_calibration_is_not_loaded(archive):
     archive.undo()
-    assert initial.start(ASKED, archive).source == ''
+    assert initial.initial_values(ASKED, archive).source == ''
 
 
 def spoil(folder, how):
@@ -128,22 +128,22 @@ def test_calibration_that_can_not_be_used_is_passed_over_for_the_one_before(
         archive, half, how, said):
     newer = archive.save(initial.files(result.result(half, {'version': '1'}), SCENARIO))
     spoil(newer, how)
-    begun = initial.start(ASKED, archive)
+    begun = initial.initial_values(ASKED, archive)
     assert begun.source == str(archive.directory / '0001')
     assert '0002' in begun.notices[0] and said in begun.notices[0]
 
 
 def test_other_gates_and_noise_are_used_from_then_on(messages):
     gyro, frames = messages
-    stream = fed(Stream(SCENARIO), gyro[:3000], frames[:60])
-    before = stream.belief
+    calibrator = fed(Calibrator(SCENARIO), gyro[:3000], frames[:60])
+    before = calibrator.belief
     options = SCENARIO.replace({
         'estimator.gate_probability': 0.5,
         'estimator.process_noise.gyro_bias_deg_h_sqrt_h': 10.0}).estimator
-    stream.use(options)
-    assert stream.belief is before
-    rejected = stream.counts.rejected_stars
-    fed(stream, gyro[3000:6000], frames[60:120])
-    assert stream.counts.rejected_stars - rejected > 0.4 * frames.star_counts[60:120].sum()
-    assert (stream.belief.sigma[EPSILON] > before.sigma[EPSILON]).all()
-    assert stream.belief.sigma[PSI].max() < 1.0
+    calibrator.use(options)
+    assert calibrator.belief is before
+    rejected = calibrator.counts.rejected_stars
+    fed(calibrator, gyro[3000:6000], frames[60:120])
+    assert calibrator.counts.rejected_stars - rejected > 0.4 * frames.star_counts[60:120].sum()
+    assert (calibrator.belief.sigma[EPSILON] > before.sigma[EPSILON]).all()
+    assert calibrator.belief.sigma[PSI].max() < 1.0

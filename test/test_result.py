@@ -10,7 +10,7 @@ import pytest
 
 from starcal_ros.config import parameter_file
 from starcal_ros.core import rotation
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, PHI, UNIT
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import CalibrationError, converged, result, write_json
@@ -23,25 +23,25 @@ PROVENANCE = {'version': '1.2.3', 'config_sha256': 'ab', 'bag_sha256': 'cd'}
 
 
 def calibrated(scenario=SCENARIO, gyro_rows=slice(None)):
-    """Return a stream that has had all messages of a simulation."""
+    """Return a calibrator that has had all messages of a simulation."""
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
-    stream = Stream(scenario)
-    stream.add_gyro(gyro.next(gyro.count)[gyro_rows])
-    stream.add_frames(tracker.next(tracker.count))
-    list(stream.process())
-    return stream
+    calibrator = Calibrator(scenario)
+    calibrator.add_gyro(gyro.next(gyro.count)[gyro_rows])
+    calibrator.add_frames(tracker.next(tracker.count))
+    list(calibrator.process())
+    return calibrator
 
 
 @pytest.fixture(scope='module', params=[True, False], ids=['feedback', 'open loop'])
-def stream(request):
-    """Return a stream after its last frame, the gyro 0.37 s further."""
+def calibrator(request):
+    """Return a calibrator after its last frame, the gyro 0.37 s further."""
     return calibrated(SCENARIO.replace({'estimator.feedback': request.param}), slice(0, 8987))
 
 
 @pytest.fixture
-def outcome(stream):
+def outcome(calibrator):
     """Return its RESULT.json as a dictionary."""
-    return result(stream, PROVENANCE)
+    return result(calibrator, PROVENANCE)
 
 
 def test_keys_are_those_of_the_interface(outcome):
@@ -134,12 +134,12 @@ def test_mounting_maps_gyro_components_to_tracker_components(outcome):
     assert (sigma < np.radians(600.0 / 3600.0)).all()       # less than at first: something learnt
 
 
-def test_final_attitude_is_integrated_to_the_last_gyro_sample(stream, outcome):
+def test_final_attitude_is_integrated_to_the_last_gyro_sample(calibrator, outcome):
     """By hand from the last frame, 89.5 s, to the last of the samples given, 89.87 s."""
     final, start_ns = outcome['attitude_final'], Truth.from_scenario(SCENARIO).motion.start_ns
     assert final['stamp_ns'] == start_ns + 89_870_000_000
     gyro = sensors.gyro(SCENARIO).next(8987)[8950:]
-    estimate = stream.belief.estimate
+    estimate = calibrator.belief.estimate
     C_gi = estimate.C_gi
     for rate in gyro.rate:
         C_gi = rotation.exp(-(rate - estimate.bias) * 0.01) @ C_gi
@@ -157,15 +157,15 @@ def test_final_attitude_is_the_true_orientation_of_the_gyro_in_icrf(outcome):
 
 
 def test_final_attitude_is_that_of_the_last_frame_where_no_sample_is_later():
-    stream = calibrated(gyro_rows=slice(0, 8950))           # a sample at the frame's own stamp
-    final = result(stream, PROVENANCE)['attitude_final']
-    assert final['stamp_ns'] == stream.stamp_ns
+    calibrator = calibrated(gyro_rows=slice(0, 8950))           # a sample at the frame's own stamp
+    final = result(calibrator, PROVENANCE)['attitude_final']
+    assert final['stamp_ns'] == calibrator.stamp_ns
     np.testing.assert_allclose(rotation.to_matrix(np.array(final['quaternion_xyzw'])),
-                               stream.belief.estimate.C_gi.T, rtol=0, atol=1e-15)
+                               calibrator.belief.estimate.C_gi.T, rtol=0, atol=1e-15)
 
 
-def test_calibration_has_converged_when_every_sigma_is_inside_its_tolerance(stream, outcome):
-    sigma, tolerance = stream.belief.sigma[CALIBRATED], stream.filter.tolerance
+def test_calibration_has_converged_when_every_sigma_is_inside_its_tolerance(calibrator, outcome):
+    sigma, tolerance = calibrator.belief.sigma[CALIBRATED], calibrator.filter.tolerance
     assert outcome['converged'] == bool((sigma <= tolerance).all()) is False    # after 90 s
     sigma = sigma / UNIT[CALIBRATED]
     wide = {'gyro_bias_deg_h': max(sigma[:3]), 'fixed_angles_arcsec': max(sigma[3:6]),
@@ -174,32 +174,33 @@ def test_calibration_has_converged_when_every_sigma_is_inside_its_tolerance(stre
     for factor, expected in ((1.01, True), (0.99, False)):
         scenario = SCENARIO.replace({f'estimator.tolerance.{key}': factor * float(value)
                                      for key, value in wide.items()})
-        assert converged(calibrated_with(stream, scenario), stream.belief) is expected
+        assert converged(calibrated_with(calibrator, scenario), calibrator.belief) is expected
 
 
-def calibrated_with(stream, scenario):
-    """Return a new stream of other tolerances that holds the attitude as this one does."""
-    other = Stream(scenario)
-    other.belief = stream.belief
+def calibrated_with(calibrator, scenario):
+    """Return a new calibrator of other tolerances that holds the attitude as this one does."""
+    other = Calibrator(scenario)
+    other.belief = calibrator.belief
     return other
 
 
 def test_no_frame_no_result_but_the_counts_that_say_why():
-    stream = Stream(SCENARIO)
+    calibrator = Calibrator(SCENARIO)
     gyro = sensors.gyro(SCENARIO).next(500)
-    stream.add_gyro(gyro)
-    stream.add_frames(Frames(gyro.stamp_ns[100:200:50], np.zeros(3, np.int64), np.empty((0, 2)),
-                             np.empty(0), np.empty(0), np.empty(0, np.int64)))
-    list(stream.process())
+    calibrator.add_gyro(gyro)
+    calibrator.add_frames(Frames(gyro.stamp_ns[100:200:50], np.zeros(3, np.int64),
+                                 np.empty((0, 2)), np.empty(0), np.empty(0),
+                                 np.empty(0, np.int64)))
+    list(calibrator.process())
     with pytest.raises(CalibrationError, match='500 gyro readings, 2 frames reached by them '
                                                r'\(2 without a usable star'):
-        result(stream, PROVENANCE)
+        result(calibrator, PROVENANCE)
 
 
 def test_frames_without_gyro_give_no_result_but_say_that_they_wait():
-    stream = Stream(SCENARIO)
-    stream.add_gyro(GyroSamples.empty())
-    stream.add_frames(sensors.star_tracker(SCENARIO).next(10))
-    list(stream.process())
+    calibrator = Calibrator(SCENARIO)
+    calibrator.add_gyro(GyroSamples.empty())
+    calibrator.add_frames(sensors.star_tracker(SCENARIO).next(10))
+    list(calibrator.process())
     with pytest.raises(CalibrationError, match='0 gyro readings.*10 frames waiting for gyro'):
-        result(stream, PROVENANCE)
+        result(calibrator, PROVENANCE)

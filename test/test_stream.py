@@ -13,7 +13,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PHI, PSI
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import Frames, GyroSamples
@@ -65,17 +65,17 @@ def without(gyro, *spans_s):
     return GyroSamples(gyro.stamp_ns[keep], gyro.rate[keep])
 
 
-def feed(stream, gyro, frames):
-    """Give a stream all messages at once; return its results."""
-    stream.add_gyro(gyro)
-    stream.add_frames(frames)
-    return list(stream.process())
+def feed(calibrator, gyro, frames):
+    """Give a calibrator all messages at once; return its results."""
+    calibrator.add_gyro(gyro)
+    calibrator.add_frames(frames)
+    return list(calibrator.process())
 
 
 def calibrated(gyro, frames, scenario=SCENARIO):
-    """Return a new stream that has had all messages, and its results."""
-    stream = Stream(scenario)
-    return stream, feed(stream, gyro, frames)
+    """Return a new calibrator that has had all messages, and its results."""
+    calibrator = Calibrator(scenario)
+    return calibrator, feed(calibrator, gyro, frames)
 
 
 def assert_same(results, expected):
@@ -91,9 +91,9 @@ def assert_same(results, expected):
             np.testing.assert_array_equal(getattr(a, part), getattr(b, part))
 
 
-def assert_finite(stream):
+def assert_finite(calibrator):
     """Check that nothing in a belief is NaN or infinite."""
-    belief = stream.belief
+    belief = calibrator.belief
     for part in (belief.nominal.C_gi, belief.nominal.bias, belief.nominal.C_sg,
                  belief.nominal.intrinsics, belief.root, belief.sigma, belief.error):
         assert np.isfinite(part).all()
@@ -114,13 +114,13 @@ def at_once(run):
 
 
 def test_all_messages_at_once_give_the_truth_within_their_sigmas(run, at_once):
-    stream, results = at_once
+    calibrator, results = at_once
     assert len(results) == 180
     assert_right(run, results[-1])
-    assert stream.take_notices() == []
+    assert calibrator.take_notices() == []
     expected = {'gyro': 9000, 'frames': 180, 'stars': int(run.frames.star_counts.sum()),
                 'acquisitions': 1}
-    counts = asdict(stream.counts)
+    counts = asdict(calibrator.counts)
     counts['stars'] += counts.pop('rejected_stars')         # by the gate: one in 10 000
     assert counts == {**dict.fromkeys(counts, 0), **expected}
 
@@ -128,59 +128,59 @@ def test_all_messages_at_once_give_the_truth_within_their_sigmas(run, at_once):
 @pytest.mark.parametrize('seed', range(4))
 def test_results_do_not_depend_on_how_messages_are_cut_and_interleaved(run, at_once, seed):
     """One topic may be ahead of the other by any time."""
-    rng, stream, results = np.random.default_rng(seed), Stream(SCENARIO), []
+    rng, calibrator, results = np.random.default_rng(seed), Calibrator(SCENARIO), []
     gyro, frames = run.gyro, run.frames
     while len(gyro) or len(frames):
         if rng.random() < 0.5:
             n = int(rng.integers(0, 1500))
-            stream.add_gyro(gyro[:n])
+            calibrator.add_gyro(gyro[:n])
             gyro = gyro[n:]
         else:
             n = int(rng.integers(0, 30))
-            stream.add_frames(frames[:n])
+            calibrator.add_frames(frames[:n])
             frames = frames[n:]
         if rng.random() < 0.7:
-            results += stream.process()
-    results += stream.process()
+            results += calibrator.process()
+    results += calibrator.process()
     assert_same(results, at_once[1])
-    assert asdict(stream.counts) == asdict(at_once[0].counts)
+    assert asdict(calibrator.counts) == asdict(at_once[0].counts)
 
 
 @pytest.mark.parametrize('frames_first', [True, False])
 def test_results_of_one_message_at_a_time_are_those_of_all_at_once(run, at_once, frames_first):
-    stream, results, k = Stream(SCENARIO), [], 0
+    calibrator, results, k = Calibrator(SCENARIO), [], 0
     for i, stamp_ns in enumerate(run.gyro.stamp_ns):
         if not frames_first:
-            stream.add_gyro(run.gyro[i:i + 1])
+            calibrator.add_gyro(run.gyro[i:i + 1])
         while k < len(run.frames) and run.frames.stamp_ns[k] <= stamp_ns:
-            stream.add_frames(run.frames[k:k + 1])
+            calibrator.add_frames(run.frames[k:k + 1])
             k += 1
         if frames_first:
-            stream.add_gyro(run.gyro[i:i + 1])
-        results += stream.process()
+            calibrator.add_gyro(run.gyro[i:i + 1])
+        results += calibrator.process()
     assert_same(results, at_once[1])
 
 
 def test_frames_wait_while_the_gyro_is_silent_and_are_then_used(run, at_once):
-    stream = Stream(SCENARIO)
-    stream.add_frames(run.frames)
-    assert list(stream.process()) == [] and stream.waiting == 180
-    stream.add_gyro(run.gyro[:4000])                        # until 40 s, a frame's stamp
-    results = list(stream.process())
-    assert (len(results), stream.waiting) == (81, 99)
-    assert list(stream.process()) == [] and stream.waiting == 99
-    stream.add_gyro(run.gyro[4000:])
-    assert_same([*results, *stream.process()], at_once[1])
-    assert stream.waiting == 0
+    calibrator = Calibrator(SCENARIO)
+    calibrator.add_frames(run.frames)
+    assert list(calibrator.process()) == [] and calibrator.waiting == 180
+    calibrator.add_gyro(run.gyro[:4000])                        # until 40 s, a frame's stamp
+    results = list(calibrator.process())
+    assert (len(results), calibrator.waiting) == (81, 99)
+    assert list(calibrator.process()) == [] and calibrator.waiting == 99
+    calibrator.add_gyro(run.gyro[4000:])
+    assert_same([*results, *calibrator.process()], at_once[1])
+    assert calibrator.waiting == 0
 
 
 def test_frames_between_gyro_samples_are_used_at_their_own_stamps():
     """At 97.31 Hz none falls on a sample, 18 arcsec of slew apart at 0.5 deg/s."""
     run = Simulated(SCENARIO.replace({'gyro.rate_hz': 97.31}))
     assert not np.isin(run.frames.stamp_ns, run.gyro.stamp_ns).any()
-    stream, results = calibrated(run.gyro, run.frames, run.scenario)
+    calibrator, results = calibrated(run.gyro, run.frames, run.scenario)
     assert_right(run, results[-1])
-    assert stream.counts.gyro_gaps == 0
+    assert calibrator.counts.gyro_gaps == 0
 
 
 # What can not be used
@@ -197,24 +197,25 @@ def test_duplicate_late_and_backward_gyro_samples_are_dropped_and_counted(run, a
     # sample 100 twice, 200 after 210, and a jump back over 50 samples that are sent again
     order = np.concatenate((rows[:101], rows[100:200], rows[201:211], [200], rows[211:500],
                             rows[450:500], rows[500:]))
-    stream, results = calibrated(GyroSamples(gyro.stamp_ns[order], gyro.rate[order]), run.frames)
-    counts = stream.counts
+    calibrator, results = calibrated(GyroSamples(gyro.stamp_ns[order], gyro.rate[order]),
+                                     run.frames)
+    counts = calibrator.counts
     assert (counts.dropped_messages, counts.gyro) == (1 + 1 + 50, len(gyro) - 1)
     assert (counts.gyro_gaps, counts.missing_gyro) == (1, 1)    # where 200 should have been
-    notices = stream.take_notices()
+    notices = calibrator.take_notices()
     assert len([text for text in notices if 'not newer' in text]) == 1
     assert str(gyro.stamp_ns[100]) in notices[0]
     assert_right(run, results[-1])
-    assert stream.take_notices() == []
+    assert calibrator.take_notices() == []
 
 
 def test_duplicate_and_backward_frames_are_dropped_and_counted(run, at_once):
-    frames, stream = run.frames, Stream(SCENARIO)
+    frames, calibrator = run.frames, Calibrator(SCENARIO)
     mixed = Frames.concatenate((frames[:20], frames[19:20], frames[5:15], frames[20:]))
-    results = feed(stream, run.gyro, mixed)
+    results = feed(calibrator, run.gyro, mixed)
     assert_same(results, at_once[1])
-    assert stream.counts.dropped_messages == 11
-    notices = stream.take_notices()
+    assert calibrator.counts.dropped_messages == 11
+    notices = calibrator.take_notices()
     assert len(notices) == 1 and str(frames.stamp_ns[19]) in notices[0]
 
 
@@ -222,10 +223,10 @@ def test_duplicate_and_backward_frames_are_dropped_and_counted(run, at_once):
 def test_gyro_samples_that_are_not_finite_are_dropped_and_counted(run, value):
     rate = run.gyro.rate.copy()
     rate[[1000, 3000], [0, 2]] = value
-    stream, results = calibrated(GyroSamples(run.gyro.stamp_ns, rate), run.frames)
-    counts = stream.counts
+    calibrator, results = calibrated(GyroSamples(run.gyro.stamp_ns, rate), run.frames)
+    counts = calibrator.counts
     assert (counts.dropped_messages, counts.gyro_gaps, counts.missing_gyro) == (2, 2, 2)
-    notices = [text for text in stream.take_notices() if 'not finite' in text]
+    notices = [text for text in calibrator.take_notices() if 'not finite' in text]
     assert len(notices) == 1 and str(run.gyro.stamp_ns[1000]) in notices[0]
     assert_right(run, results[-1])
 
@@ -240,7 +241,7 @@ def test_star_that_can_not_be_used_is_left_out_counted_and_named_once(run, colum
     values = getattr(run.frames, column).copy()
     rows = run.frames.first[[0, 50, 51]] + 2                # one star in three frames
     values[rows] = value
-    stream, results = calibrated(run.gyro, altered(run.frames, **{column: values}))
+    calibrator, results = calibrated(run.gyro, altered(run.frames, **{column: values}))
     keep = np.ones(len(run.frames.sigma), dtype=bool)
     keep[rows] = False
     frames = run.frames
@@ -248,13 +249,13 @@ def test_star_that_can_not_be_used_is_left_out_counted_and_named_once(run, colum
     _, expected = calibrated(run.gyro, Frames(
         frames.stamp_ns, first, *(part[keep] for part in (
             frames.uv_raster, frames.sigma, frames.magnitude, frames.catalog_id))))
-    assert (stream.counts.unusable_stars, stream.counts.rejected_stars) == (3, 0)
+    assert (calibrator.counts.unusable_stars, calibrator.counts.rejected_stars) == (3, 0)
     # another order of summation: rounding, in units of the sigmas
     difference = results[-1].belief.nominal.minus(expected[-1].belief.nominal)
     np.testing.assert_allclose(difference / expected[-1].belief.sigma, 0.0, atol=1e-6)
-    notices = stream.take_notices()
+    notices = calibrator.take_notices()
     assert len(notices) == 1 and notice in notices[0]
-    assert stream.take_notices() == []
+    assert calibrator.take_notices() == []
     assert not results[50].accepted[2]
 
 
@@ -278,9 +279,9 @@ def test_empty_frames_are_counted_and_change_no_calibration(run):
     frames = Frames(frames.stamp_ns, np.concatenate(([0], np.cumsum(counts))), *(
         part[keep] for part in (frames.uv_raster, frames.sigma, frames.magnitude,
                                 frames.catalog_id)))
-    stream, results = calibrated(run.gyro, frames)
-    assert (stream.counts.frames, stream.counts.empty_frames) == (180, 20)
-    assert_finite(stream)
+    calibrator, results = calibrated(run.gyro, frames)
+    assert (calibrator.counts.frames, calibrator.counts.empty_frames) == (180, 20)
+    assert_finite(calibrator)
     assert_right(run, results[-1])
     before = next(r for r in results if r.stamp_ns == frames.stamp_ns[59])
     during = next(r for r in results if r.stamp_ns == frames.stamp_ns[65])
@@ -299,10 +300,10 @@ def test_noise_in_place_of_messages_raises_nothing_and_leaves_the_belief_finite(
     uv[rng.integers(0, len(uv), 200)] *= rng.choice([1e300, -1e9, np.nan, 0.0], (200, 1))
     sigma[rng.integers(0, len(sigma), 200)] = rng.choice([1e9, -1.0, np.nan, np.inf], 200)
     number[rng.integers(0, len(number), 400)] = rng.integers(-5, 200_000, 400)
-    stream, results = calibrated(
+    calibrator, results = calibrated(
         GyroSamples(stamps, rate), replace(frames, uv_raster=uv, sigma=sigma, catalog_id=number))
     assert len(results) > 100
-    assert_finite(stream)
+    assert_finite(calibrator)
     assert all(np.isfinite(result.belief.root).all() for result in results)
     assert_right(run, results[-1])
 
@@ -312,24 +313,24 @@ def test_sigma_of_almost_nothing_raises_nothing(run, tiny):
     """Finite and positive, as a float32 on the topic can be."""
     sigma = run.frames.sigma.copy()
     sigma[::40] = tiny
-    stream, _ = calibrated(run.gyro, altered(run.frames, sigma=sigma))
-    assert_finite(stream)
+    calibrator, _ = calibrated(run.gyro, altered(run.frames, sigma=sigma))
+    assert_finite(calibrator)
 
 
 @pytest.mark.parametrize('huge', [1e6, 1e20, 1e300])
 def test_centroid_far_off_the_detector_raises_nothing(run, huge):
     uv = run.frames.uv_raster.copy()
     uv[::40] = huge
-    stream, results = calibrated(run.gyro, altered(run.frames, uv_raster=uv))
-    assert_finite(stream)
+    calibrator, results = calibrated(run.gyro, altered(run.frames, uv_raster=uv))
+    assert_finite(calibrator)
     assert_right(run, results[-1])
 
 
 def test_nothing_at_all_raises_nothing():
-    stream = Stream(SCENARIO)
-    assert feed(stream, GyroSamples.empty(), Frames.empty()) == []
-    assert len(stream.track().stamp_ns) == 0
-    assert not stream.tracking
+    calibrator = Calibrator(SCENARIO)
+    assert feed(calibrator, GyroSamples.empty(), Frames.empty()) == []
+    assert len(calibrator.track().stamp_ns) == 0
+    assert not calibrator.tracking
 
 
 # Wrong stamps, and clocks that are set back
@@ -345,12 +346,12 @@ def stamped(gyro, rows, stamp_ns):
 @pytest.mark.parametrize('row', [0, 4000, 8999])
 @pytest.mark.parametrize('stamp_ns', [START_NS + 120 * SECOND_NS, 2 * 10**18])
 def test_one_wrong_stamp_of_the_gyro_costs_that_reading(run, row, stamp_ns):
-    stream, results = calibrated(stamped(run.gyro, row, stamp_ns), run.frames)
+    calibrator, results = calibrated(stamped(run.gyro, row, stamp_ns), run.frames)
     rest = [part for part in (run.gyro[:row], run.gyro[row + 1:]) if len(part)]
     expected, expected_results = calibrated(GyroSamples.concatenate(rest), run.frames)
     assert_same(results, expected_results)
-    assert stream.counts == replace(expected.counts, dropped_messages=int(row < 8999))
-    assert stream.counts.restarts == 0
+    assert calibrator.counts == replace(expected.counts, dropped_messages=int(row < 8999))
+    assert calibrator.counts.restarts == 0
 
 
 @pytest.mark.parametrize('row', [0, 100, 179])
@@ -358,11 +359,11 @@ def test_one_wrong_stamp_of_the_gyro_costs_that_reading(run, row, stamp_ns):
 def test_one_wrong_stamp_of_a_frame_costs_that_frame(run, row, stamp_ns):
     stamps = run.frames.stamp_ns.copy()
     stamps[row] = stamp_ns
-    stream, results = calibrated(run.gyro, replace(run.frames, stamp_ns=stamps))
+    calibrator, results = calibrated(run.gyro, replace(run.frames, stamp_ns=stamps))
     _, expected = calibrated(run.gyro, Frames.concatenate((run.frames[:row],
                                                            run.frames[row + 1:])))
     assert_same(results, expected)
-    assert (stream.counts.dropped_messages, stream.counts.restarts) == (int(row < 179), 0)
+    assert (calibrator.counts.dropped_messages, calibrator.counts.restarts) == (int(row < 179), 0)
 
 
 def again(run, count):
@@ -371,41 +372,41 @@ def again(run, count):
 
 
 def test_recording_that_is_played_again_starts_the_estimates_again(run, at_once):
-    stream, results = calibrated(*again(run, 3))
+    calibrator, results = calibrated(*again(run, 3))
     assert len(results) == 3 * 180
     for low in range(0, 540, 180):
         assert_same(results[low:low + 180], at_once[1])
-    assert stream.counts == replace(at_once[0].counts, restarts=2)
-    notices = stream.take_notices()
+    assert calibrator.counts == replace(at_once[0].counts, restarts=2)
+    notices = calibrator.take_notices()
     assert len(notices) == 2
     assert f'went back by 89.990 s to {run.gyro.stamp_ns[0]} ns' in notices[0]
 
 
 @pytest.mark.parametrize('seed', range(2))
 def test_restarts_do_not_depend_on_how_messages_are_cut_and_interleaved(run, at_once, seed):
-    rng, stream, results = np.random.default_rng(seed), Stream(SCENARIO), []
+    rng, calibrator, results = np.random.default_rng(seed), Calibrator(SCENARIO), []
     gyro, frames = again(run, 2)
     while len(gyro) or len(frames):
         if rng.random() < 0.5:
             n = int(rng.integers(0, 1500))
-            stream.add_gyro(gyro[:n])
+            calibrator.add_gyro(gyro[:n])
             gyro = gyro[n:]
         else:
             n = int(rng.integers(0, 30))
-            stream.add_frames(frames[:n])
+            calibrator.add_frames(frames[:n])
             frames = frames[n:]
-        results += stream.process()
+        results += calibrator.process()
     assert_same(results, at_once[1] * 2)
-    assert stream.counts == replace(at_once[0].counts, restarts=1)
+    assert calibrator.counts == replace(at_once[0].counts, restarts=1)
 
 
 def test_clock_that_is_set_back_before_its_time_starts_the_estimates_again(run, at_once):
     """The player is started anew after 60 s, and then passes these."""
     gyro = GyroSamples.concatenate((run.gyro[:6000], run.gyro))
-    stream, results = calibrated(gyro, Frames.concatenate((run.frames[:119], run.frames)))
+    calibrator, results = calibrated(gyro, Frames.concatenate((run.frames[:119], run.frames)))
     assert_same(results[:119], at_once[1][:119])
     assert_same(results[119:], at_once[1])
-    assert stream.counts.restarts == 1
+    assert calibrator.counts.restarts == 1
 
 
 @pytest.mark.parametrize('topic', ['gyro', 'frames'])
@@ -419,14 +420,14 @@ def test_clock_of_one_topic_that_is_wrong_for_a_while_costs_that_while(run, topi
     else:
         stamps[60:80] -= START_NS
         expected = calibrated(run.gyro, Frames.concatenate((run.frames[:60], run.frames[80:])))[1]
-    frames, stream, results = replace(run.frames, stamp_ns=stamps), Stream(SCENARIO), []
+    frames, calibrator, results = replace(run.frames, stamp_ns=stamps), Calibrator(SCENARIO), []
     for k in range(9):
-        stream.add_gyro(gyro[1000 * k:1000 * (k + 1)])
-        stream.add_frames(frames[20 * k:20 * (k + 1)])
-        results += stream.process()
+        calibrator.add_gyro(gyro[1000 * k:1000 * (k + 1)])
+        calibrator.add_frames(frames[20 * k:20 * (k + 1)])
+        results += calibrator.process()
     assert_same(results, expected)
-    assert stream.counts.restarts == 0
-    assert stream.counts.dropped_messages == (1000 if topic == 'gyro' else 20)
+    assert calibrator.counts.restarts == 0
+    assert calibrator.counts.dropped_messages == (1000 if topic == 'gyro' else 20)
 
 
 # Missing messages
@@ -435,8 +436,8 @@ def test_clock_of_one_topic_that_is_wrong_for_a_while_costs_that_while(run, topi
 def test_missing_messages_are_counted_from_the_stamps(run):
     keep = ~np.isin(np.arange(180), [7, 100, 101, 102])
     frames = Frames.concatenate([run.frames[k:k + 1] for k in np.flatnonzero(keep)])
-    stream, _ = calibrated(without(run.gyro, (20.0, 20.03), (70.0, 70.07)), frames)
-    counts = stream.counts
+    calibrator, _ = calibrated(without(run.gyro, (20.0, 20.03), (70.0, 70.07)), frames)
+    counts = calibrator.counts
     assert (counts.missing_frames, counts.gyro_gaps, counts.missing_gyro) == (4, 2, 10)
     assert counts.dropped_messages == 0
 
@@ -444,12 +445,12 @@ def test_missing_messages_are_counted_from_the_stamps(run):
 @pytest.mark.parametrize('low, high', [(10.0, 11.0), (50.0, 51.0), (15.0, 25.0), (45.0, 55.0)],
                          ids=['1 s at rest', '1 s of slew', '10 s at rest', '10 s of slew'])
 def test_silence_of_the_gyro_is_bridged_counted_and_said(run, at_once, low, high):
-    stream, results = calibrated(without(run.gyro, (low, high)), run.frames)
-    counts = stream.counts
+    calibrator, results = calibrated(without(run.gyro, (low, high)), run.frames)
+    counts = calibrator.counts
     assert (counts.gyro_gaps, counts.missing_gyro) == (1, round(100 * (high - low)))
-    text, = [text for text in stream.take_notices() if 'silent' in text]
+    text, = [text for text in calibrator.take_notices() if 'silent' in text]
     assert f'{high - low + 0.01:.3f} s' in text
-    assert_finite(stream)
+    assert_finite(calibrator)
     assert len(results) == 180
     for result in results[round(2 * low)::10]:
         assert_right(run, result)
@@ -459,13 +460,13 @@ def test_silence_of_the_gyro_is_bridged_counted_and_said(run, at_once, low, high
 def test_attitude_is_less_certain_after_a_silence_by_what_may_hide_in_it(run, length):
     """1 deg/s^2 for the silence: t^2 / 2 deg, until the next sample ends it."""
     low = 40.1
-    stream = Stream(SCENARIO)
+    calibrator = Calibrator(SCENARIO)
     silent = without(run.gyro, (low, low + length))
     until = START_NS + round((low + length) * 1e9) + 10**7     # the first sample after it
     # and one more, with which the leap of the stamps is believed
-    feed(stream, silent[:np.searchsorted(silent.stamp_ns, until) + 2], run.frames[:81])
-    before = stream.belief.sigma[PHI]
-    track = stream.track()
+    feed(calibrator, silent[:np.searchsorted(silent.stamp_ns, until) + 2], run.frames[:81])
+    before = calibrator.belief.sigma[PHI]
+    track = calibrator.track()
     after = np.sqrt(np.diagonal(track.covariance[-2]))
     hidden = 0.5 * length**2 * DEG
     # added to what was known before and to the random walk, arcseconds
@@ -486,24 +487,24 @@ def turned():
 
 def test_attitude_that_jumps_is_found_again_and_said(run, turned):
     """From 45 s on the stars are those of a body turned by 5 deg; the gyro felt nothing."""
-    stream, results = calibrated(run.gyro, Frames.concatenate((run.frames[:90],
-                                                               turned.frames[90:])))
-    assert stream.counts.acquisitions == 2
-    # refused five times, then found
-    refused = [not result.accepted.any() for result in results]
-    assert sum(refused) in (4, 5) and all(refused[90:94])
+    calibrator, results = calibrated(run.gyro, Frames.concatenate((run.frames[:90],
+                                                                   turned.frames[90:])))
+    assert calibrator.counts.acquisitions == 2
+    # rejected five times, then found
+    rejected = [not result.accepted.any() for result in results]
+    assert sum(rejected) in (4, 5) and all(rejected[90:94])
     assert_right(run, results[89])
     for result in results[96::10]:
         assert_right(turned, result)
-    notices = stream.take_notices()
+    notices = calibrator.take_notices()
     assert any('found again' in text for text in notices)
     assert any('sought afresh' in text for text in notices)
-    assert stream.tracking
+    assert calibrator.tracking
 
 
 def test_lost_attitude_costs_nothing_of_the_calibration(run, turned):
-    stream, results = calibrated(run.gyro, Frames.concatenate((run.frames[:90],
-                                                               turned.frames[90:])))
+    calibrator, results = calibrated(run.gyro, Frames.concatenate((run.frames[:90],
+                                                                   turned.frames[90:])))
     before, after = results[89].belief, results[100].belief
     # EPSILON and PSI are told from the motion, of which the jump's side is lost; not the camera
     assert (after.sigma[CALIBRATED] <= before.sigma[CALIBRATED] * (1 + 1e-9)).all()
@@ -515,18 +516,18 @@ def test_stars_with_wrong_numbers_are_refused_and_the_rest_is_used(run, seed):
     rng = np.random.default_rng(seed)
     rows = rng.permutation(len(number))[:len(number) * 3 // 10]
     number[rows] = rng.choice(catalog.load(6.0).hip, len(rows))
-    stream, results = calibrated(run.gyro, altered(run.frames, catalog_id=number))
-    assert stream.counts.acquisitions == 1
-    assert abs(stream.counts.rejected_stars - len(rows)) <= 5    # good ones: one in 10 000
+    calibrator, results = calibrated(run.gyro, altered(run.frames, catalog_id=number))
+    assert calibrator.counts.acquisitions == 1
+    assert abs(calibrator.counts.rejected_stars - len(rows)) <= 5    # good ones: one in 10 000
     assert_right(run, results[-1])
 
 
 def test_frames_without_any_star_of_the_catalogue_never_begin_a_track(run):
     number = np.full(len(run.frames.catalog_id), 0)
-    stream, results = calibrated(run.gyro, altered(run.frames, catalog_id=number))
-    assert results == [] and stream.belief is None and not stream.tracking
-    assert (stream.counts.frames, stream.counts.empty_frames) == (180, 180)
-    assert any('no attitude' in text and '0 of' in text for text in stream.take_notices())
+    calibrator, results = calibrated(run.gyro, altered(run.frames, catalog_id=number))
+    assert results == [] and calibrator.belief is None and not calibrator.tracking
+    assert (calibrator.counts.frames, calibrator.counts.empty_frames) == (180, 180)
+    assert any('no attitude' in text and '0 of' in text for text in calibrator.take_notices())
 
 
 # The integrated attitude
@@ -534,21 +535,21 @@ def test_frames_without_any_star_of_the_catalogue_never_begin_a_track(run):
 
 def tracked(run, size, frames_ahead=True):
     """Feed samples in batches, as a node does; return the joined track."""
-    stream, tracks, k = Stream(SCENARIO), [], 0
+    calibrator, tracks, k = Calibrator(SCENARIO), [], 0
 
     def process():
-        tracks.extend(result.track for result in stream.process(tracked=True))
-        tracks.append(stream.track())
+        tracks.extend(result.track for result in calibrator.process(tracked=True))
+        tracks.append(calibrator.track())
 
     for low in range(0, len(run.gyro), size):
         batch = run.gyro[low:low + size]
         to = int(np.searchsorted(run.frames.stamp_ns, batch.stamp_ns[-1], side='right'))
         if frames_ahead:
-            stream.add_frames(run.frames[k:to])
-        stream.add_gyro(batch)
+            calibrator.add_frames(run.frames[k:to])
+        calibrator.add_gyro(batch)
         if not frames_ahead:
             process()
-            stream.add_frames(run.frames[k:to])
+            calibrator.add_frames(run.frames[k:to])
         process()
         k = to
     return [np.concatenate(parts) for parts in zip(*tracks)]
@@ -586,18 +587,18 @@ def test_track_has_each_gyro_stamp_once_where_frames_are_processed_with_the_samp
 
 
 def test_attitude_now_is_the_last_of_the_track(run):
-    stream, _ = calibrated(run.gyro[:-30], run.frames)
-    track = stream.track()
-    stamp_ns, C_gi = stream.attitude_now()
+    calibrator, _ = calibrated(run.gyro[:-30], run.frames)
+    track = calibrator.track()
+    stamp_ns, C_gi = calibrator.attitude_now()
     assert stamp_ns == track.stamp_ns[-1] == run.gyro.stamp_ns[-31]
     np.testing.assert_allclose(C_gi, track.C_gi[-1], rtol=0, atol=1e-15)
 
 
 def test_track_takes_the_bias_off_the_rates(run):
-    stream, _ = calibrated(run.gyro, run.frames)
-    track = stream.track()
+    calibrator, _ = calibrated(run.gyro, run.frames)
+    track = calibrator.track()
     np.testing.assert_array_equal(track.rate, run.gyro.rate[-len(track.rate):]
-                                  - stream.belief.estimate.bias)
+                                  - calibrator.belief.estimate.bias)
 
 
 def test_track_is_as_uncertain_as_the_filter_would_be_at_its_end(run):
@@ -605,13 +606,13 @@ def test_track_is_as_uncertain_as_the_filter_would_be_at_its_end(run):
     scenario = SCENARIO.replace({'estimator.initial_sigma.gyro_bias_deg_h': 100.0})
     one = run.frames[:1]            # believed when another, empty one follows
     frames = replace(one, stamp_ns=run.frames.stamp_ns[:2], first=one.first[[0, 1, 1]])
-    stream, _ = calibrated(run.gyro[:2900], frames, scenario)
-    track = stream.track()
+    calibrator, _ = calibrated(run.gyro[:2900], frames, scenario)
+    track = calibrator.track()
     interval = preintegration.preintegrate(
-        run.gyro[:2900], np.array([stream.stamp_ns, run.gyro.stamp_ns[2899]]),
-        stream.filter.start.bias, 1e7)
-    after = stream.filter.propagate(
-        stream.belief, preintegration.Preintegrated(*(part[0] for part in interval)))
+        run.gyro[:2900], np.array([calibrator.stamp_ns, run.gyro.stamp_ns[2899]]),
+        calibrator.filter.start.bias, 1e7)
+    after = calibrator.filter.propagate(
+        calibrator.belief, preintegration.Preintegrated(*(part[0] for part in interval)))
     np.testing.assert_allclose(track.C_gi[-1], after.estimate.C_gi, rtol=0, atol=1e-12)
     # at rest but for the drift of the attitude, 1e-4 rad
     sigma = after.sigma[PHI]
@@ -621,9 +622,9 @@ def test_track_is_as_uncertain_as_the_filter_would_be_at_its_end(run):
 
 
 def test_track_without_new_samples_is_empty(run):
-    stream, _ = calibrated(run.gyro, run.frames[:100])
-    assert len(stream.track().stamp_ns) == 9000 - 4949      # from the frame at 49.5 s on
-    assert len(stream.track().stamp_ns) == 0
+    calibrator, _ = calibrated(run.gyro, run.frames[:100])
+    assert len(calibrator.track().stamp_ns) == 9000 - 4949      # from the frame at 49.5 s on
+    assert len(calibrator.track().stamp_ns) == 0
 
 
 def test_reprojection_error_is_that_of_the_centroids(run, at_once):
@@ -638,34 +639,34 @@ def test_reprojection_error_is_that_of_the_centroids(run, at_once):
 def test_gyro_without_frames_does_not_grow_without_bound():
     """Half a day of samples, an hour of them kept."""
     scenario = SCENARIO.replace({'gyro.rate_hz': 1.0, 'star_tracker.rate_hz': 0.01})
-    stream = Stream(scenario)
+    calibrator = Calibrator(scenario)
     for hour in range(12):
         stamps = START_NS + (hour * 3600 + np.arange(3600)) * SECOND_NS
-        stream.add_gyro(GyroSamples(stamps, np.zeros((3600, 3))))
-        list(stream.process())
-        assert held(stream) <= 2 * 3600 + 1
+        calibrator.add_gyro(GyroSamples(stamps, np.zeros((3600, 3))))
+        list(calibrator.process())
+        assert held(calibrator) <= 2 * 3600 + 1
 
 
-def held(stream):
-    """Return how many readings and frames a stream keeps."""
-    return sum(len(value) for value in vars(stream).values()
-               if isinstance(value, GyroSamples)) + stream.waiting
+def held(calibrator):
+    """Return how many readings and frames a calibrator keeps."""
+    return sum(len(value) for value in vars(calibrator).values()
+               if isinstance(value, GyroSamples)) + calibrator.waiting
 
 
 def test_frames_without_gyro_do_not_grow_without_bound(run):
     """Before the first reading, and after the last."""
     for gyro in (GyroSamples.empty(), run.gyro[:100]):
-        stream = Stream(SCENARIO)
-        stream.add_gyro(gyro)
+        calibrator = Calibrator(SCENARIO)
+        calibrator.add_gyro(gyro)
         for k in range(5):
             n = 10_000
             stamps = START_NS + (k * n + np.arange(n)) * SECOND_NS // 2 + 10 * SECOND_NS
-            stream.add_frames(Frames(stamps, np.zeros(n + 1, np.int64), np.empty((0, 2)),
-                                     np.empty(0), np.empty(0), np.empty(0, np.int64)))
-            list(stream.process())
-        assert stream.waiting <= 20_000
-        assert stream.counts.dropped_messages >= 30_000
-        assert stream.take_notices()
+            calibrator.add_frames(Frames(stamps, np.zeros(n + 1, np.int64), np.empty((0, 2)),
+                                         np.empty(0), np.empty(0), np.empty(0, np.int64)))
+            list(calibrator.process())
+        assert calibrator.waiting <= 20_000
+        assert calibrator.counts.dropped_messages >= 30_000
+        assert calibrator.take_notices()
 
 
 def test_used_messages_are_forgotten(run, at_once):
@@ -674,17 +675,17 @@ def test_used_messages_are_forgotten(run, at_once):
 
 def test_track_costs_no_more_when_no_frame_has_come_for_long(run):
     """The samples of one call, not all since the last frame: a tenth of an hour of them."""
-    stream, _ = calibrated(run.gyro[:100], run.frames[:2])
+    calibrator, _ = calibrated(run.gyro[:100], run.frames[:2])
 
     def cost(first, count):
         stamps = START_NS + np.arange(first, first + count) * 10**7
-        stream.add_gyro(GyroSamples(stamps, np.zeros((count, 3))))
-        stream.track()
+        calibrator.add_gyro(GyroSamples(stamps, np.zeros((count, 3))))
+        calibrator.track()
         best = np.inf
         for k in range(5):
-            stream.add_gyro(GyroSamples(stamps[-1:] + (k + 1) * 10**7, np.zeros((1, 3))))
+            calibrator.add_gyro(GyroSamples(stamps[-1:] + (k + 1) * 10**7, np.zeros((1, 3))))
             begin = time.perf_counter()
-            assert len(stream.track().stamp_ns) == 1
+            assert len(calibrator.track().stamp_ns) == 1
             best = min(best, time.perf_counter() - begin)
         return best
 

@@ -13,7 +13,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import verdict
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import (CALIBRATED, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
@@ -72,7 +72,7 @@ def test_all_within_is_converged_however_coupled():
 def test_lost_attitude_is_not_converged():
     judged = verdict.judge(FILTER, belief_with(), tracking=False)
     assert not judged.converged
-    assert judged.summary == 'not yet: most stars are refused'
+    assert judged.summary == 'not yet: most stars are rejected'
 
 
 @pytest.mark.parametrize('axis, advice', [('X', 'rotate about X'), ('', 'more frames are needed')])
@@ -148,19 +148,19 @@ def test_attitude_is_counted_in_star_tracker_axes():
 
 @pytest.fixture(scope='module')
 def run():
-    """Return the verdicts of the two hours by their time, and the final stream."""
+    """Return the verdicts of the two hours by their time, and the final calibrator."""
     gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
-    stream = Stream(SCENARIO)
-    stream.add_gyro(gyro.next(gyro.count))
-    stream.add_frames(tracker.next(tracker.count))
+    calibrator = Calibrator(SCENARIO)
+    calibrator.add_gyro(gyro.next(gyro.count))
+    calibrator.add_frames(tracker.next(tracker.count))
     start_ns, verdicts = None, {}
-    for frame in stream.process():
+    for frame in calibrator.process():
         start_ns = start_ns or frame.stamp_ns
         when = (frame.stamp_ns - start_ns) / 1e9
         if when in (AT_REST, 120.0, 300.0):
-            verdicts[when] = verdict.judge(stream.filter, frame.belief)
-    verdicts['end'] = verdict.judge(stream.filter, stream.belief, stream.tracking)
-    return verdicts, stream
+            verdicts[when] = verdict.judge(calibrator.filter, frame.belief)
+    verdicts['end'] = verdict.judge(calibrator.filter, calibrator.belief, calibrator.tracking)
+    return verdicts, calibrator
 
 
 def test_at_rest_the_mounting_can_not_be_told_from_the_attitude(run):
@@ -198,9 +198,9 @@ def test_after_all_axes_only_frames_are_needed(run):
 
 
 def test_two_hours_are_converged(run):
-    verdicts, stream = run
+    verdicts, calibrator = run
     assert verdicts['end'].summary == 'converged'
-    assert verdicts['end'].converged is converged(stream, stream.belief) is True
+    assert verdicts['end'].converged is converged(calibrator, calibrator.belief) is True
     # T18 Fig. 9: 0.0039 and 0.0005 px in its one run; its sigma is ours
     assert (verdicts['end'].equivalent_sigma_px < 0.0045).all()
 
@@ -216,8 +216,8 @@ def ahead():
             'motion.dwell_s': REST_S if angles[0] else 200.0,
             'simulation.duration_s': REST_S + 61.0})
         gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
-        stream, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), scenario)
-        sigma.append(stream.belief.sigma[CALIBRATED])
+        calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), scenario)
+        sigma.append(calibrator.belief.sigma[CALIBRATED])
     return np.array(sigma)
 
 
@@ -246,9 +246,9 @@ def test_diagnostics_say_what_the_verdict_says(run):
     diagnostics = pytest.importorskip('starcal_ros.nodes.estimator_diagnostics',
                                       exc_type=ImportError)
     from rclpy.clock import Clock
-    verdicts, stream = run
+    verdicts, calibrator = run
     node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
-    status, *_ = diagnostics.Diagnostics(node, []).message(stream, True).status
+    status, *_ = diagnostics.Diagnostics(node, []).message(calibrator, True).status
     values = {item.key: item.value for item in status.values}
     assert status.message == 'converged' and values['not_told_apart'] == 'none'
     assert values['correlation_u0_psi_y'] == f'{verdicts["end"].u0_psi_y:.4f}'

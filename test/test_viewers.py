@@ -13,7 +13,7 @@ from rosbags.interfaces import Nodetype
 import yaml
 
 from starcal_ros.config import parameter_file
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES, STATE_NAMES
 from starcal_ros.messages import topics
 from starcal_ros.messages.conventions import GYRO_FRAME, STATE_LAYOUT
@@ -51,7 +51,7 @@ def calibration_status():
 
     from starcal_ros.nodes.estimator_diagnostics import Diagnostics
     node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
-    return Diagnostics(node, []).message(Stream(SCENARIO), enabled=True).status[0]
+    return Diagnostics(node, []).message(Calibrator(SCENARIO), enabled=True).status[0]
 
 
 def state_of(index):

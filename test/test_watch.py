@@ -68,7 +68,7 @@ def test_arrow_points_along_the_residual_v_downward(degrees, arrow):
     assert star_map(star, (1024, 1024)).plain.strip() == arrow
 
 
-def test_small_innovations_are_dots_and_refused_stars_cover_the_others():
+def test_small_innovations_are_dots_and_rejected_stars_cover_the_others():
     here = (500.0, 500.0, 1.0, 0.0)
     signs = [star_map(stars(*rows), (1024, 1024)).plain.strip() for rows in (
         [(*here, 2.29, 1)], [(*here, 2.31, 1)], [(*here, 99.0, 0), (*here, 2.31, 1)])]
@@ -157,9 +157,9 @@ def shown(tmp_path_factory):
 
 def test_late_watch_shows_the_states_of_the_estimator(shown):
     gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
-    stream, _ = calibrate(
+    calibrator, _ = calibrate(
         gyro.next(gyro.count), tracker.next(tracker.count), SCENARIO)
-    offline = text(Seen(conventions.state_vector(stream.stamp_ns, stream.belief),
+    offline = text(Seen(conventions.state_vector(calibrator.stamp_ns, calibrator.belief),
                         level=0, silent_s=0.0))
     rows = {line.split()[0]: line.split()[1:3] for line in shown.splitlines() if line.split()}
     expected = [line.split()[:3] for line in offline.splitlines()[-N_STATES:]]

@@ -13,7 +13,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import consistency
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.reproduction import published, published_cameras, wu2019
-from starcal_ros.reproduction.wu2019 import DETECTOR, GROUPS, METHODS, TRUTH, View
+from starcal_ros.reproduction.wu2019 import DETECTOR, GROUPS, METHODS, TRUTH, PerfectFrame
 from starcal_ros.reproduction.wu2019_study import HEAD, UNITS, Study, rows
 
 SHORT = Scenario().replace({'simulation.duration_s': 50.0})        # 100 frames
@@ -115,7 +115,7 @@ def test_observability_is_that_of_differences(model, chosen):
 
 def test_fewer_residuals_than_parameters_observe_nothing():
     view = study('group2', 4, 0.2).sky.judge[0]
-    assert wu2019.least_observable(View(view.u_i[:4], view.uv[:4]), 4, (2, 3)) == 0.0
+    assert wu2019.least_observable(PerfectFrame(view.u_i[:4], view.uv[:4]), 4, (2, 3)) == 0.0
 
 
 def test_rows_put_the_numbers_side_by_side():

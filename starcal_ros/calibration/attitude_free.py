@@ -31,7 +31,7 @@ from starcal_ros.core.consensus import OUT_OF_PLACE, consensus
 from starcal_ros.core.units import NS
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
-from starcal_ros.measurements.star_directions import Places
+from starcal_ros.measurements.star_directions import StarDirections
 
 Measurement = Callable[[Frame], Information]
 """What a method takes from a frame."""
@@ -42,7 +42,7 @@ _TINY = 1e-9            # weight given to what the rest of a frame can not tell 
 _NOT_YET_NS = np.iinfo(np.int64).min
 
 
-class Belief(NamedTuple):
+class CameraBelief(NamedTuple):
     """What is known of the camera.
 
     Attributes
@@ -62,12 +62,12 @@ class Belief(NamedTuple):
         return np.sqrt(np.einsum('...ij,...ij->...i', self.root, self.root))
 
 
-def update(belief: Belief, stars: Stars, lens: Lens, measure: Measurement) -> Belief:
+def update(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement) -> CameraBelief:
     """Correct a belief with a frame, all of whose stars count.
 
     Parameters
     ----------
-    belief : Belief
+    belief : CameraBelief
         Before the frame.
     stars : Stars
         Two or more, of finite sigma.
@@ -84,8 +84,8 @@ def update(belief: Belief, stars: Stars, lens: Lens, measure: Measurement) -> Be
     return _iterate(belief, stars, lens, measure)[0]
 
 
-def _iterate(belief: Belief, stars: Stars, lens: Lens, measure: Measurement
-             ) -> tuple[Belief, Frame, Array]:
+def _iterate(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement
+             ) -> tuple[CameraBelief, Frame, Array]:
     """Return the corrected belief, the frame as last linearised, and how far from the prior."""
     prior, root = belief
     p = prior.shape[-1]
@@ -101,15 +101,15 @@ def _iterate(belief: Belief, stars: Stars, lens: Lens, measure: Measurement
         solved = np.linalg.solve(
             L, np.concatenate((root_t, root_t @ vector[..., None]), axis=-1))
         corrected = np.swapaxes(solved[..., :p], -1, -2)
-        fitted = Belief(prior - (corrected @ solved[..., p:])[..., 0], corrected)
+        fitted = CameraBelief(prior - (corrected @ solved[..., p:])[..., 0], corrected)
         step, at = fitted.parameters - at, fitted.parameters
         if (np.abs(step) <= _LARGE * fitted.sigma).all():
             break
     return fitted, frame, away
 
 
-def screen(belief: Belief, stars: Stars, lens: Lens, measure: Measurement, gate: float
-           ) -> tuple[Belief, Mask]:
+def screen(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement, gate: float
+           ) -> tuple[CameraBelief, Mask]:
     """Correct the belief of one run with those stars of a frame that fit.
 
     Parameters
@@ -121,7 +121,7 @@ def screen(belief: Belief, stars: Stars, lens: Lens, measure: Measurement, gate:
 
     Returns
     -------
-    belief : Belief
+    belief : CameraBelief
         After the frame.
     used : (n,) bool array
         Stars that were used. Where no more than half of them fit it is none, and the belief stays.
@@ -139,7 +139,8 @@ def screen(belief: Belief, stars: Stars, lens: Lens, measure: Measurement, gate:
     return belief, np.zeros_like(use)
 
 
-def _fit(belief: Belief, stars: Stars, lens: Lens, measure: Measurement) -> tuple[Belief, Array]:
+def _fit(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement
+         ) -> tuple[CameraBelief, Array]:
     """Return the belief corrected with all stars, and by how much each of them misfits."""
     try:
         fitted, frame, away = _iterate(belief, stars, lens, measure)
@@ -174,7 +175,7 @@ def _misfit(frame: Frame, root: Array, away: Array) -> Array:
     return (vv * g_u * g_u - 2.0 * uv * g_u * g_v + uu * g_v * g_v) / (uu * vv - uv * uv)
 
 
-def _vote(belief: Belief, stars: Stars, lens: Lens) -> Mask:
+def _vote(belief: CameraBelief, stars: Stars, lens: Lens) -> Mask:
     """Tell which stars agree with the attitude that most of them agree with."""
     try:
         frame = invariants.linearize(stars, belief.parameters, lens)
@@ -211,15 +212,15 @@ class AttitudeFree:
                           partial(camera.linearize, pitch_mm=pitch_mm))
         self._measure, self._min_stars = measure, min_stars
         estimated = np.isin(camera.INTRINSICS, scenario.intrinsics.estimate)
-        self._first = Belief(begun.intrinsics, kalman.root_of(begun.covariance))
+        self._first = CameraBelief(begun.intrinsics, kalman.root_of(begun.covariance))
         self._density = options.density[-len(estimated):] * estimated
         self._gate = options.gate
         self._patience = scenario.estimator.reacquire_after_frames
-        self._places = Places(scenario)
+        self._directions = StarDirections(scenario)
         self._belief = self._first
         self._newest_ns = _NOT_YET_NS
         self._used_ns = _NOT_YET_NS
-        self._frames = self._stars = self._refused_in_a_row = 0
+        self._frames = self._stars = self._rejected_in_a_row = 0
         self._notices: dict[object, str] = {}
         self._said: set[object] = set()
         self._left_out = {'frames not newer than the one before': 0,
@@ -230,7 +231,7 @@ class AttitudeFree:
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
-        stars, notices = self._places.of(frames)
+        stars, notices = self._directions.of(frames)
         self._notices.update(notices)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             if stamp_ns <= self._newest_ns:
@@ -250,14 +251,14 @@ class AttitudeFree:
                 root=kalman.predict(belief.root, np.eye(len(walked)), np.diag(walked)))
         belief, used = screen(belief, stars, self._lens, self._measure, self._gate)
         if used.any():
-            self._belief, self._used_ns, self._refused_in_a_row = belief, stamp_ns, 0
+            self._belief, self._used_ns, self._rejected_in_a_row = belief, stamp_ns, 0
             self._frames += 1
             self._stars += int(used.sum())
             self._left_out['stars that do not fit'] += int((~used).sum())
             return
         self._left_out['frames of which most do not fit'] += 1
-        self._refused_in_a_row += 1
-        if self._refused_in_a_row == self._patience and self._frames:
+        self._rejected_in_a_row += 1
+        if self._rejected_in_a_row == self._patience and self._frames:
             self._notices[stamp_ns] = (
                 f'{self._patience} frames in a row up to {stamp_ns} ns do not fit: the '
                 'calibration begins afresh')

@@ -38,7 +38,7 @@ from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter.states import LENS, SCALE
 
 MIN_STARS = 2
-"""Spots that a frame must have: two fix its attitude."""
+"""Observations that a frame must have: two fix its attitude."""
 
 _ITERATIONS = 50
 _CONVERGED = 1e-3       # of a sigma; the error left is the square of that
@@ -48,7 +48,7 @@ _MEDIAN = 1.1774        # of the length of a normal vector in the plane, sigma 1
 _PINNED = 1e-3 * ARCSEC     # sigma of an attitude that is held
 
 
-class Spots(NamedTuple):
+class Observations(NamedTuple):
     """Measured spots, frame after frame.
 
     Attributes
@@ -89,7 +89,7 @@ class Adjusted:
     residual : (m, 2) array
         Measured minus predicted centroid [px].
     used : (m,) bool array
-        Spots inside the gate.
+        Observations inside the gate.
     scale : float
         Size of the residuals of the spots used over what the stated sigmas promise.
     """
@@ -103,13 +103,13 @@ class Adjusted:
     scale: float
 
 
-def adjust(spots: Spots, intrinsics: Array, C_si: Array, points: Array, pitch_mm: float,
+def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, pitch_mm: float,
            prior_covariance: Array, gate: float) -> Adjusted:
     """Fit camera, attitudes and unknown directions.
 
     Parameters
     ----------
-    spots : Spots
+    spots : Observations
     intrinsics : (7,) array
         Where to begin, and the mean of the prior.
     C_si : (n, 3, 3) array
@@ -190,7 +190,7 @@ class _Step(NamedTuple):
 class _Problem:
     """The spots and the prior; residuals and normal equations of a state."""
 
-    def __init__(self, spots: Spots, mean: Array, pitch_mm: float,
+    def __init__(self, spots: Observations, mean: Array, pitch_mm: float,
                  prior_covariance: Array) -> None:
         self.spots, self.mean, self.pitch_mm = spots, mean, pitch_mm
         self.free = np.diag(prior_covariance) > 0.0

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Spots
+from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Observations
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.consensus import OUT_OF_PLACE, consensus
@@ -14,13 +14,13 @@ from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import Placed
 
 
-def identified(frames: Frames, placed: Placed) -> Spots:
+def identified(frames: Frames, placed: Placed) -> Observations:
     """Return the stars with a place, of the frames that have enough of them."""
     use = usable(frames, placed)
     u_i, uv, sigma = (part[use] for part in placed.stars)
     frame = np.repeat(np.arange(len(frames)), frames.star_counts)[use]
     number = np.unique(frame, return_inverse=True)[1]
-    return Spots(number, uv, sigma, u_i, np.full(len(number), -1))
+    return Observations(number, uv, sigma, u_i, np.full(len(number), -1))
 
 
 def usable(frames: Frames, placed: Placed) -> Mask:
@@ -30,7 +30,7 @@ def usable(frames: Frames, placed: Placed) -> Mask:
     return use & (np.bincount(frame, use, len(frames))[frame] >= MIN_STARS)
 
 
-def attitudes(spots: Spots, r_s: Array) -> Array:
+def attitudes(spots: Observations, r_s: Array) -> Array:
     """Return the attitude C_si, (n, 3, 3), of each frame by Wahba's problem (Markley 1988).
 
     A wrong number puts a star anywhere in the sky and so takes the attitude with it: where a star
@@ -38,7 +38,7 @@ def attitudes(spots: Spots, r_s: Array) -> Array:
 
     Parameters
     ----------
-    spots : Spots
+    spots : Observations
         With places.
     r_s : (m, 3) array
         Measured directions of the spots.
@@ -58,7 +58,7 @@ def attitudes(spots: Spots, r_s: Array) -> Array:
     return _wahba(spots, r_s, counts)
 
 
-def _wahba(spots: Spots, r_s: Array, counts: Array) -> Array:
+def _wahba(spots: Observations, r_s: Array, counts: Array) -> Array:
     B = np.zeros((int(spots.frame[-1]) + 1, 3, 3))
     np.add.at(B, spots.frame, (counts[:, None] * r_s)[:, :, None] * spots.u_i[:, None, :])
     return rotation.wahba(B)

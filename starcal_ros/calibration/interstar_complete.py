@@ -16,17 +16,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros.calibration.interstar_equations import Sight, joined
+from starcal_ros.calibration.interstar_equations import SpotDirections, joined
 from starcal_ros.core.arrays import Array
 
 
-def normal_equations(sight: Sight, moved: Array, cosines: Array | None = None
+def normal_equations(sight: SpotDirections, moved: Array, cosines: Array | None = None
                      ) -> tuple[Array, Array]:
     """Return A'e and its derivative: as `interstar_equations.equations` and their `product`.
 
     Parameters
     ----------
-    sight : Sight
+    sight : SpotDirections
         Of complete frames.
     moved : (L, 3, ..., NF, NS) array
         By what the directions move: the instruments give A'A.

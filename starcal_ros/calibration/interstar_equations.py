@@ -62,7 +62,7 @@ CONVERGED = 1e-8        # step, in parts of the largest, with which an iteration
 _BEND_PX = 0.01         # step of a numeric derivative, whose error is its square over f
 
 
-class Sight(NamedTuple):
+class SpotDirections(NamedTuple):
     """Directions of spots, and what moves them; zero for a spot that was not seen.
 
     Attributes
@@ -131,7 +131,7 @@ class Bias(NamedTuple):
     variance: Array
 
 
-def pinhole(uv: Array, intrinsics: Array, pitch_mm: float, constrained: bool) -> Sight:
+def pinhole(uv: Array, intrinsics: Array, pitch_mm: float, constrained: bool) -> SpotDirections:
     """Return where a pinhole camera sees the spots.
 
     Parameters
@@ -160,11 +160,11 @@ def pinhole(uv: Array, intrinsics: Array, pitch_mm: float, constrained: bool) ->
         instruments = np.zeros_like(by_intrinsics)
         for k in range(3):
             np.multiply(along, unit[k], out=instruments[k, k])
-    return Sight(w, by_intrinsics, instruments, -by_intrinsics[:2])
+    return SpotDirections(w, by_intrinsics, instruments, -by_intrinsics[:2])
 
 
 def lens(uv: Array, intrinsics: Array, pitch_mm: float, estimated: Sequence[int],
-         constrained: bool, seen: Mask) -> Sight:
+         constrained: bool, seen: Mask) -> SpotDirections:
     """Return where any camera sees the spots, as `pinhole`, its distortion taken off exactly.
 
     Parameters
@@ -194,7 +194,7 @@ def lens(uv: Array, intrinsics: Array, pitch_mm: float, estimated: Sequence[int]
         if 2 in estimated:
             stretch[list(estimated).index(2)] += 1.0 / intrinsics[..., 2, None, None]
         instruments = by_intrinsics + stretch[:, None] * w
-    return Sight(w, by_intrinsics, instruments, by_spot)
+    return SpotDirections(w, by_intrinsics, instruments, by_spot)
 
 
 def _scattered(rows: Array, seen: Mask) -> Array:
@@ -204,12 +204,13 @@ def _scattered(rows: Array, seen: Mask) -> Array:
     return out
 
 
-def equations(sight: Sight, cosines: Array | None = None, seen: Mask | None = None) -> Equations:
+def equations(sight: SpotDirections, cosines: Array | None = None, seen: Mask | None = None
+              ) -> Equations:
     """Return the equations of the interstar angles, the sums over all pairs done.
 
     Parameters
     ----------
-    sight : Sight
+    sight : SpotDirections
         From `pinhole` or `lens`.
     cosines : (..., NS, NS) array, optional
         v_i . v_j of the catalogue; without it the frames are compared with one another.
@@ -242,7 +243,7 @@ def covariance(matrix: Array, noise: Array) -> Array:
     Parameters
     ----------
     matrix : (..., K, K) array
-        M, the derivative of the value: `Equations.product` of `Sight.by_intrinsics`.
+        M, the derivative of the value: `Equations.product` of `SpotDirections.by_intrinsics`.
     noise : (..., K, K) array
         N, the covariance of the value: `Equations.noise`.
     """
@@ -250,7 +251,7 @@ def covariance(matrix: Array, noise: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, np.swapaxes(half, -1, -2)))
 
 
-def bias(look: Callable[[Array], Sight], uv: Array, sigma: Array | float,
+def bias(look: Callable[[Array], SpotDirections], uv: Array, sigma: Array | float,
          seen: Mask | None = None) -> Bias:
     """Return the expectation of the equations of S, r not held.
 
@@ -260,7 +261,7 @@ def bias(look: Callable[[Array], Sight], uv: Array, sigma: Array | float,
     Parameters
     ----------
     look : callable
-        From spots to their `Sight`: `pinhole` or `lens` at some camera, not constrained.
+        From spots to their `SpotDirections`: `pinhole` or `lens` at some camera, not constrained.
     uv : (..., NF, NS, 2) array
         Spots [px].
     sigma : (..., NF, NS) array or float
@@ -285,7 +286,7 @@ def bias(look: Callable[[Array], Sight], uv: Array, sigma: Array | float,
                 np.einsum('kk...ms->...', own), 2.0 * np.einsum('kl...ms,kl...ms->...', own, own))
 
 
-def misfit(sight: Sight, cosines: Array | None = None, seen: Mask | None = None) -> Array:
+def misfit(sight: SpotDirections, cosines: Array | None = None, seen: Mask | None = None) -> Array:
     """Return how far each spot is from where its pairs want it, (..., NF, NS, 2) [px].
 
     The shift of one spot, all others held, that minimises the sum of its e squared.

@@ -4,8 +4,8 @@
 
 A window is linearised anew only when the camera has moved by `STALE` sigmas since, so that the
 camera can be asked for again and again while windows are added. There is no prior: what the stars
-do not tell stays unknown, and a fit that knows an intrinsic less well than `Fit.largest` says
-nothing.
+do not tell stays unknown, and a fit that knows an intrinsic less well than
+`InterstarSolver.largest` says nothing.
 
 SCOC is freed of its bias (`interstar_equations.bias`). The bias grows with the square of the
 noise, and is a hundred sigmas where distortion is estimated: the noise is therefore taken from the
@@ -28,7 +28,7 @@ from starcal_ros.calibration import interstar_equations as interstar
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.camera import Detector
 
-Look = Callable[[Array], interstar.Sight]
+Look = Callable[[Array], interstar.SpotDirections]
 Frame = tuple[Array, Array, NDArray[Any]]
 
 STALE = 0.1
@@ -159,7 +159,7 @@ def followed(frames: Sequence[Frame]) -> Window:
     return Window(uv, sigma, seen)
 
 
-class Fit:
+class InterstarSolver:
     """The fit of one camera.
 
     Parameters

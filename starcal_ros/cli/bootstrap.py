@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""``starcal bootstrap``: from a camera known to a tenth and nameless stars to the 16 states."""
+"""``starcal bootstrap``: from a rough camera and unidentified stars to the 16 states."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(str(error)) from None
     for text in (*recording.warnings, *chain.notices):
         say(f'warning: {text}')
-    outcome = result.result(chain.stream, result.provenance(scenario, recording))
+    outcome = result.result(chain.calibrator, result.provenance(scenario, recording))
     outcome['steps'] = [{'step': step.name, **result.camera(step.camera)}
                         for step in chain.steps]
     attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)

@@ -14,7 +14,7 @@ from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 
 SUMMARY = 'calibrate a recording'
 DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
@@ -47,14 +47,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
-                        page: Path | None, folder: Path | None = None) -> Stream:
+                        page: Path | None, folder: Path | None = None) -> Calibrator:
     """Calibrate a recording, write the result, print its table and return the final state."""
     from starcal_ros import report
     from starcal_ros.filter import verdict
     from starcal_ros.filter.offline import calibrate
     from starcal_ros.recording import reader
     from starcal_ros.results import export, initial, result
-    from starcal_ros.results.store import Archive
+    from starcal_ros.results.store import CalibrationStore
 
     for path in (out, figure, page):
         if path is not None:
@@ -67,15 +67,16 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         recording.attachments.get(reader.CONFIG_ATTACHMENT), scenario))
     for text in contradictions:
         say(f'warning: {text}')
-    start = initial.start(scenario, Archive(Path(scenario.estimator.calibration_directory)))
+    start = initial.initial_values(scenario, CalibrationStore(
+        Path(scenario.estimator.calibration_directory)))
     with progress('calibrating') as on_progress:
-        stream, history = calibrate(
+        calibrator, history = calibrate(
             recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
-    notices = [*recording.warnings, *start.notices, *stream.take_notices()]
+    notices = [*recording.warnings, *start.notices, *calibrator.take_notices()]
     for text in notices:
         say(f'warning: {text}')
-    outcome = result.result(stream, {**result.provenance(scenario, recording),
-                                     'began_with': start.source or 'nominal values'})
+    outcome = result.result(calibrator, {**result.provenance(scenario, recording),
+                                         'began_with': start.source or 'nominal values'})
     result.write_json(out, outcome)
     if folder is not None:
         for name, content in export.files(outcome, scenario).items():
@@ -84,8 +85,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     truth = json.loads(attached) if attached else None
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     show(report.summary(outcome))
-    assert stream.belief is not None        # or result.result has told
-    judged = verdict.judge(stream.filter, stream.belief, stream.tracking)
+    assert calibrator.belief is not None        # or result.result has told
+    judged = verdict.judge(calibrator.filter, calibrator.belief, calibrator.tracking)
     show(f'Verdict: {judged.summary}')
     if figure is not None:
         report.figure(history, truth, figure)
@@ -93,7 +94,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         from starcal_ros.report.page import Calibration, write_page
         write_page(page, Calibration(outcome, truth, history, judged, scenario,
                                      contradictions + notices))
-    return stream
+    return calibrator
 
 
 def _contradictions(attached: bytes | None, scenario: Scenario) -> Iterator[str]:

@@ -42,9 +42,9 @@ def run(options: argparse.Namespace) -> int:
     processes.make_room(folder)
     with progress('live run') as on_progress:
         recording = processes.run_live(scenario, folder, on_progress)
-    stream = calibrate_recording(recording, scenario, folder / processes.RESULT,
-                                 folder / processes.FIGURE, folder / processes.REPORT)
-    difference = processes.compare(recording, stream)
+    calibrator = calibrate_recording(recording, scenario, folder / processes.RESULT,
+                                     folder / processes.FIGURE, folder / processes.REPORT)
+    difference = processes.compare(recording, calibrator)
     show(f'Live estimator and offline calibration differ by at most {difference:.1e} of the '
          'values.')
     show(f'In {folder}/: {processes.RECORDING}, {processes.RESULT}, {processes.FIGURE}, '

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.evaluation import montecarlo
     scenario = arguments.scenario(options, duration_s=options.duration)
-    study = montecarlo.Study.of(scenario, options.runs, options.sweep)
+    study = montecarlo.MonteCarlo.of(scenario, options.runs, options.sweep)
     out = Path(options.out)
     arguments.require_writable(out)
     parts = out.with_name(out.name + '.parts')

@@ -24,7 +24,7 @@ import numpy as np
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.shipped import config_file
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.messages import conventions
 from starcal_ros.recording.bag import open_bag
@@ -151,14 +151,14 @@ def make_room(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def compare(recording: Path, stream: Stream) -> float:
+def compare(recording: Path, calibrator: Calibrator) -> float:
     """Return how much the last state published live differs from an offline one.
 
     Parameters
     ----------
     recording : Path
         With ``starcal/state``.
-    stream : Stream
+    calibrator : Calibrator
         After the calibration of the same recording.
 
     Returns
@@ -168,10 +168,10 @@ def compare(recording: Path, stream: Stream) -> float:
         relative to the sigmas of its row and column; infinite where there is nothing to compare.
     """
     live = last_state(recording)
-    if live is None or stream.belief is None:
+    if live is None or calibrator.belief is None:
         return float('inf')
-    offline = conventions.state_vector(stream.stamp_ns, stream.belief)
-    sigma = stream.belief.sigma
+    offline = conventions.state_vector(calibrator.stamp_ns, calibrator.belief)
+    sigma = calibrator.belief.sigma
     scale = np.concatenate((np.abs(offline[:1 + N_STATES]), np.outer(sigma, sigma).ravel()))
     return float(np.max(np.abs(live - offline) / scale))
 

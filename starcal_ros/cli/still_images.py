@@ -135,8 +135,8 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
                                        options.method or 'bundle', velocity).replace(given)
     images, notices = source.images, []
     if site is not None:
-        from starcal_ros.workflows.still_images.atmosphere import numbers_in_the_air
-        frames, sunk, low = numbers_in_the_air(images.frames, scenario, site)
+        from starcal_ros.workflows.still_images.atmosphere import without_low_stars
+        frames, sunk, low = without_low_stars(images.frames, scenario, site)
         if sunk.any():
             raise ConfigError(f'--site: {sunk.sum()} of {len(sunk)} images, such as '
                               f'{images.names[int(sunk.argmax())]}, show stars below the horizon: '

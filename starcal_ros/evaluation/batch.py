@@ -79,7 +79,7 @@ class Runs:
                      for field in fields(cls)))
 
 
-class Step(NamedTuple):
+class BatchFrame(NamedTuple):
     """One frame of all runs of a batch.
 
     Attributes
@@ -127,7 +127,7 @@ def run_batch(scenario: Scenario, seeds: Sequence[int],
 
 
 def follow(scenario: Scenario, seeds: Sequence[int],
-           on_progress: Callable[[float], None] = lambda part: None) -> Iterator[Step]:
+           on_progress: Callable[[float], None] = lambda part: None) -> Iterator[BatchFrame]:
     """Simulate and estimate as `run_batch` does, and give what each frame does."""
     runs = [scenario.replace({'simulation.seed': int(seed)}) for seed in seeds]
     trackers = [sensors.star_tracker(run) for run in runs]
@@ -151,7 +151,7 @@ def follow(scenario: Scenario, seeds: Sequence[int],
                 turned = Preintegrated(*(part[k] for part in gyro))
                 belief = filter_.propagate(belief, turned)
             update = filter_.update(belief, frame)
-            yield Step(done + k, stamp_ns, turned, frame, belief, update)
+            yield BatchFrame(done + k, stamp_ns, turned, frame, belief, update)
             belief = update.belief
         on_progress(min(1.0, (done + _CHUNK) / trackers[0].count))
 
@@ -250,7 +250,7 @@ class _Tally:
         self._nis, self._degrees = np.zeros(n), np.zeros(n)
         self._phi, self._squares, self._used = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n)
 
-    def add(self, step: Step) -> None:
+    def add(self, step: BatchFrame) -> None:
         """Take what one frame gave."""
         update, number = step.update, step.number
         self._nis += update.nis

@@ -29,7 +29,7 @@ FLUX_SIGMA_MAG = 0.15
 """Scatter of a spot's brightness about the catalogue's: colours, noise [mag]."""
 
 
-class Sight(NamedTuple):
+class SimulatedFrame(NamedTuple):
     """One frame, and the truth behind it: Hipparcos numbers (0 is false) and attitude."""
 
     stamp_ns: int
@@ -70,12 +70,12 @@ class Viewer:
     missing: float = 0.2
     false: int = 5
 
-    def anywhere(self, stamp_ns: int) -> Sight:
+    def anywhere(self, stamp_ns: int) -> SimulatedFrame:
         """Return a frame of a random attitude."""
         q = self.rng.standard_normal(4)
         return self.at(to_matrix(q / np.linalg.norm(q)), stamp_ns)
 
-    def at(self, C_si: Array, stamp_ns: int) -> Sight:
+    def at(self, C_si: Array, stamp_ns: int) -> SimulatedFrame:
         """Return the frame of an attitude."""
         stars, rng, detector = catalog.load(self.limiting_magnitude), self.rng, self.detector
         reach = np.arctan(detector.pitch_mm * np.hypot(detector.width, detector.height)
@@ -89,9 +89,10 @@ class Viewer:
         magnitude = np.concatenate((
             stars.magnitude[row] + FLUX_SIGMA_MAG * rng.standard_normal(len(row)),
             rng.choice(stars.magnitude, self.false)))
-        return Sight(stamp_ns, np.concatenate((uv, false)) + detector.centre_raster,
-                     10.0 ** (-0.4 * magnitude),
-                     np.concatenate((stars.hip[row], np.zeros(self.false, np.int64))), C_si)
+        return SimulatedFrame(stamp_ns, np.concatenate((uv, false)) + detector.centre_raster,
+                              10.0 ** (-0.4 * magnitude),
+                              np.concatenate((stars.hip[row], np.zeros(self.false, np.int64))),
+                              C_si)
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,8 @@ class Score:
     seconds: Array
 
 
-def score(sights: Iterable[Sight], identify: Callable[[Sight], Identification | None]) -> Score:
+def score(sights: Iterable[SimulatedFrame],
+          identify: Callable[[SimulatedFrame], Identification | None]) -> Score:
     """Return how an identifier does on some frames, in their order."""
     found = stars = named = wrong = 0
     seconds = []

@@ -33,7 +33,7 @@ _PROBABILITY = 0.95
 
 
 @dataclass(frozen=True)
-class Study:
+class MonteCarlo:
     """A scenario to be run many times, at each value of a parameter that is swept.
 
     Attributes
@@ -54,7 +54,7 @@ class Study:
     values: tuple[Any, ...] = (None,)
 
     @classmethod
-    def of(cls, scenario: Scenario, runs: int, sweep: str | None) -> Study:
+    def of(cls, scenario: Scenario, runs: int, sweep: str | None) -> MonteCarlo:
         """Read a sweep ``key=value,value,…``.
 
         Raises
@@ -93,13 +93,13 @@ class Study:
         return [seeds[low:low + BATCH] for low in range(0, self.runs, BATCH)]
 
 
-def run(study: Study, parts: Path, jobs: int = -1, backend: str = 'loky',
+def run(study: MonteCarlo, parts: Path, jobs: int = -1, backend: str = 'loky',
         on_progress: Callable[[float], None] = lambda part: None) -> list[Runs]:
     """Run a study, or what is missing of it.
 
     Parameters
     ----------
-    study : Study
+    study : MonteCarlo
         What to run.
     parts : Path
         Folder of the finished batches.
@@ -208,7 +208,7 @@ def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:
     }
 
 
-def finish(study: Study, results: Sequence[Runs], out: Path, parts: Path) -> dict[str, Any]:
+def finish(study: MonteCarlo, results: Sequence[Runs], out: Path, parts: Path) -> dict[str, Any]:
     """Write the summary (JSON) and beside it all runs (NPZ), drop the parts; return the summary.
 
     With a sweep the summary has one entry a value under ``points``.

@@ -18,7 +18,7 @@ from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import GyroSamples
 
 
-class Track(NamedTuple):
+class AttitudeTrack(NamedTuple):
     """The integrated attitude at gyro stamps.
 
     Attributes
@@ -39,7 +39,7 @@ class Track(NamedTuple):
     rate: Array
 
     @classmethod
-    def empty(cls) -> Track:
+    def empty(cls) -> AttitudeTrack:
         """Return no attitude."""
         return cls(np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty((0, 3, 3)),
                    np.empty((0, 3)))
@@ -56,7 +56,7 @@ class _Reached(NamedTuple):
     states: Array
 
 
-class Tracker:
+class AttitudeTracker:
     """Integrates from each update onwards, each gyro sample once."""
 
     def __init__(self, filter_: Filter, period_ns: float) -> None:
@@ -65,7 +65,8 @@ class Tracker:
         self._given_ns = np.iinfo(np.int64).min
         self._reached: _Reached | None = None
 
-    def advance(self, belief: Belief, frame_ns: int, gyro: GyroSamples, until_ns: int) -> Track:
+    def advance(self, belief: Belief, frame_ns: int, gyro: GyroSamples, until_ns: int
+                ) -> AttitudeTrack:
         """Return the attitude at the samples that have not been given yet.
 
         Parameters
@@ -88,7 +89,7 @@ class Tracker:
             gyro.stamp_ns, [max(frame_ns, self._given_ns + 1), until_ns]).tolist()
         samples = gyro[first:last]
         if not len(samples):
-            return Track.empty()
+            return AttitudeTrack.empty()
         self._given_ns = int(samples.stamp_ns[-1])
         pieces = preintegration.cut(
             gyro, np.array([reached.stamp_ns, self._given_ns]), self._period_ns)
@@ -111,6 +112,6 @@ class Tracker:
             root = root + estimate.C_gi.T @ np.einsum('kj,ijn->kin', turn[rows], by_row)
         spread = (self.filter.walk**2 * elapsed + self.filter.density[0]**2 * elapsed**3 / 3.0
                   + (self.filter.gap_acceleration * gap_turn[rows, None, None])**2)
-        return Track(samples.stamp_ns, C_gi[rows],
-                     root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
-                     (samples.rate - estimate.bias) @ gain.T)
+        return AttitudeTrack(samples.stamp_ns, C_gi[rows],
+                             root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
+                             (samples.rate - estimate.bias) @ gain.T)

@@ -6,11 +6,11 @@ Gyro samples and frames come in as they arrive, in batches of any size. A frame 
 soon as a gyro sample reaches its stamp, whatever the order in which the two topics came, so the
 estimates depend on the messages alone: a live run and the calibration of its recording agree.
 
-Nothing that comes in stops the stream. What can not be used is dropped, counted (`Counts`) and
-named once in `Stream.take_notices`. Which stamps are believed `timeline` tells, topic by topic.
-Where the clock of both was set back, the stream finishes what came before and starts again from
-the nominal values. Where that of one topic alone was, and the other goes on past the time at
-which it is caught up with, what came too late is dropped.
+Nothing that comes in stops the calibrator. What can not be used is dropped, counted (`Counts`) and
+named once in `Calibrator.take_notices`. Which stamps are believed `timeline` tells, topic by
+topic. Where the clock of both was set back, the calibrator finishes what came before and starts
+again from the nominal values. Where that of one topic alone was, and the other goes on past the
+time at which it is caught up with, what came too late is dropped.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.filter import augmentation
 from starcal_ros.filter.acquisition import AcquisitionError, acquire
-from starcal_ros.filter.attitude_track import Track, Tracker
+from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
 from starcal_ros.filter.states import EPSILON, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.preintegration import GAP, Preintegrated
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
-from starcal_ros.measurements.star_directions import Places
+from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.measurements.timeline import NEVER_NS, Dropped, Timeline
 
 REPROJECTION_S = 600.0
@@ -88,7 +88,7 @@ class FrameResult(NamedTuple):
         Hipparcos numbers.
     nis : float
         Normalised innovation squared of all stars used, ``2 * accepted.sum()`` degrees of freedom.
-    track : Track
+    track : AttitudeTrack
         Attitude at the gyro samples before the frame, from the frame before it, where asked for.
     """
 
@@ -100,10 +100,10 @@ class FrameResult(NamedTuple):
     accepted: Mask
     catalog_id: Ints
     nis: float
-    track: Track
+    track: AttitudeTrack
 
 
-class Stream:
+class Calibrator:
     """Estimates from gyro samples and frames as they come.
 
     Parameters
@@ -120,7 +120,7 @@ class Stream:
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
         self._patience = scenario.estimator.reacquire_after_frames
-        self._places = Places(scenario)
+        self._directions = StarDirections(scenario)
         self._gyro_time = Timeline[GyroSamples](
             self._period_ns, kept=round(_GYRO_KEPT_S / NS / self._period_ns))
         self._frame_time = Timeline[Frames](self._frame_period_ns, kept=_FRAMES_KEPT)
@@ -135,9 +135,9 @@ class Stream:
         self._gyro = GyroSamples.empty()
         self._frames: list[Frames] = []
         self._newest_frame_ns = NEVER_NS
-        self._refused_in_a_row = 0
+        self._rejected_in_a_row = 0
         self._recent: deque[tuple[int, Array, int]] = deque()
-        self._tracker = Tracker(self.filter, self._period_ns)
+        self._tracker = AttitudeTracker(self.filter, self._period_ns)
 
     def use(self, options: EstimatorConfig) -> None:
         """Go on with other gates and process noise, those that may change on the way."""
@@ -219,7 +219,7 @@ class Stream:
         while self._clock_was_set_back():
             yield from self._process_reached(tracked)
 
-    def track(self) -> Track:
+    def track(self) -> AttitudeTrack:
         """Return the attitude at each gyro sample since the last call, from the last update.
 
         With `process`, `tracked`, before it, each sample from the first frame on is given once.
@@ -229,7 +229,7 @@ class Stream:
     @property
     def tracking(self) -> bool:
         """Whether the stars agree with the attitude: most of the last frame was used."""
-        return self.belief is not None and self._refused_in_a_row == 0
+        return self.belief is not None and self._rejected_in_a_row == 0
 
     def attitude_now(self) -> tuple[int, Array]:
         """Return the integrated attitude C_gi, (3, 3), at the last gyro sample, and its stamp.
@@ -304,7 +304,7 @@ class Stream:
             yield from self._process(frames[low:high], tracked)
 
     def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
-        stars, notices = self._places.of(frames)
+        stars, notices = self._directions.of(frames)
         for key, text in notices:
             self._notice(key, text)
         self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())
@@ -319,7 +319,7 @@ class Stream:
             if belief is not None:
                 belief = self.filter.propagate(
                     belief, Preintegrated(*(part[k] for part in gyro)))
-            track = self._track(stamp_ns) if tracked else Track.empty()
+            track = self._track(stamp_ns) if tracked else AttitudeTrack.empty()
             self.stamp_ns = stamp_ns
             self.counts.frames += 1
             self.counts.empty_frames += not np.isfinite(frame.sigma).any()
@@ -337,15 +337,15 @@ class Stream:
                               frames.catalog_id[rows], float(update.nis), track)
         self._forget_gyro_before(self.stamp_ns)
 
-    def _track(self, until_ns: int) -> Track:
+    def _track(self, until_ns: int) -> AttitudeTrack:
         if self.belief is None:
-            return Track.empty()
+            return AttitudeTrack.empty()
         return self._tracker.advance(self.belief, self.stamp_ns, self._gyro, until_ns)
 
     def _with_attitude(self, belief: Belief | None, frame: Stars, reading: Array
                        ) -> tuple[Belief, Stars] | None:
         """Return a belief that a frame may correct, its attitude found afresh where it is lost."""
-        lost = belief is None or self._refused_in_a_row >= self._patience or bool(
+        lost = belief is None or self._rejected_in_a_row >= self._patience or bool(
             (belief.tracker_sigma > SIGMA_ACQUIRED).any())
         if belief is not None and not lost:
             return belief, frame
@@ -355,7 +355,7 @@ class Stream:
             self._notice('acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
             return None if belief is None else (belief, frame)
         self.counts.acquisitions += 1
-        self._refused_in_a_row = 0
+        self._rejected_in_a_row = 0
         if belief is not None and self.counts.acquisitions <= _NAMED:
             self._notices.append(f'attitude lost, found again at {self.stamp_ns} ns')
         found_belief, frame = found
@@ -363,12 +363,12 @@ class Stream:
 
     def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())
-        refused = int(usable.sum()) - used
+        rejected = int(usable.sum()) - used
         self.counts.stars += used
-        self.counts.rejected_stars += refused
-        self._refused_in_a_row = self._refused_in_a_row + 1 if refused > used else 0
-        if self._refused_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
-            self._notices.append(f'most stars refused in {self._patience} frames up to '
+        self.counts.rejected_stars += rejected
+        self._rejected_in_a_row = self._rejected_in_a_row + 1 if rejected > used else 0
+        if self._rejected_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
+            self._notices.append(f'most stars rejected in {self._patience} frames up to '
                                  f'{self.stamp_ns} ns: the attitude is sought afresh')
         squares = np.sum(update.residual[update.accepted]**2, axis=0)
         self._recent.append((self.stamp_ns, squares, used))

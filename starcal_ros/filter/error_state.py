@@ -235,7 +235,7 @@ class Filter:
         stars : Stars
             The frame.
         gated : bool
-            Refuse stars whose chi-square lies outside the gate.
+            Reject stars whose chi-square lies outside the gate.
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
         z, scale = uv - stars.uv, SCALES[:H.shape[-1]]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """T18's calibration from all the messages of a recording, and how it went.
 
-The messages go through the same `Stream` as in the live estimator.
+The messages go through the same `Calibrator` as in the live estimator.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.filter.verdict import equivalent_sigma
 from starcal_ros.measurements.samples import Frames, GyroSamples
@@ -80,7 +80,7 @@ class History:
 
 def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
               on_progress: Callable[[float], None] | None = None,
-              covariance: Array | None = None) -> tuple[Stream, History]:
+              covariance: Array | None = None) -> tuple[Calibrator, History]:
     """Calibrate from all the messages of a recording.
 
     Parameters
@@ -96,14 +96,14 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
 
     Returns
     -------
-    stream : Stream
+    calibrator : Calibrator
         After the last frame that the gyro reached.
     history : History
     """
-    stream = Stream(scenario, covariance)
-    stream.add_gyro(gyro)
-    stream.add_frames(frames)
-    n = stream.waiting
+    calibrator = Calibrator(scenario, covariance)
+    calibrator.add_gyro(gyro)
+    calibrator.add_frames(frames)
+    n = calibrator.waiting
     stamp_ns, used = np.empty(n, np.int64), np.empty(n, np.int64)
     bias, C_sg, intrinsics = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 7))
     sigma, root = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
@@ -112,7 +112,7 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     residual: list[Array] = [np.empty((0, 2))]
     accepted: list[Mask] = [np.empty(0, bool)]
     rows = 0
-    for row, frame in enumerate(stream.process()):
+    for row, frame in enumerate(calibrator.process()):
         estimate, rows = frame.belief.estimate, row + 1
         stamp_ns[row], nis[row] = frame.stamp_ns, frame.nis
         bias[row], C_sg[row], intrinsics[row] = estimate.bias, estimate.C_sg, estimate.intrinsics
@@ -126,9 +126,9 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     if on_progress:
         on_progress(1.0)
     done = slice(rows)
-    return stream, History(
+    return calibrator, History(
         stamp_ns[done], bias[done], C_sg[done], intrinsics[done], sigma[done],
-        equivalent_sigma(root[done], intrinsics[done], stream.filter.detector.pitch_mm),
+        equivalent_sigma(root[done], intrinsics[done], calibrator.filter.detector.pitch_mm),
         nis[done], used[done],
         Residuals(np.concatenate(uv_raster), np.concatenate(residual), np.concatenate(accepted),
                   _sigma(frames, stamp_ns[done], scenario)))

@@ -136,7 +136,7 @@ class Verdict:
     def summary(self) -> str:
         """One sentence."""
         if not self.tracking:
-            return 'not yet: most stars are refused'
+            return 'not yet: most stars are rejected'
         if not self.outside:
             return 'converged'
         return f'not yet: {", ".join(self.outside)}; {advice(self.axis)}'

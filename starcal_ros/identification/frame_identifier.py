@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of nameless spots, as they come, to Hipparcos numbers: identification of a live stream.
+"""Identification of a live stream: frames of spots, as they come, to catalogue numbers.
 
 Gyro readings carry the attitude from frame to frame, so a frame waits for those up to its stamp.
 Where there are none, the last rate does.
@@ -22,7 +22,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identification, Identifier, MirroredError
-from starcal_ros.measurements.frame_rotations import turns
+from starcal_ros.measurements.frame_rotations import from_gyro
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.timeline import NEVER_NS, SET_BACK_S
 
@@ -30,7 +30,7 @@ _SET_BACK_NS = round(SET_BACK_S * 1e9)
 _GYRO_KEPT, _PARTS = 500_000, 1000      # readings while no frame comes, and arrays of them
 
 
-class Numbering:
+class FrameIdentifier:
     """Identifies the frames of one star tracker, in the order in which they arrive.
 
     The camera is the nominal one, as uncertain as ``estimator.initial_sigma`` says.
@@ -116,7 +116,7 @@ class Numbering:
         turn, last, self._last = None, self._last, frame
         if last is not None and stamp_ns > last.stamp_ns[0]:
             gyro = self._gyro_since(int(last.stamp_ns[0]))
-            _, turn = turns(gyro, Frames.concatenate((last, frame)), self._scenario)
+            _, turn = from_gyro(gyro, Frames.concatenate((last, frame)), self._scenario)
         with np.errstate(over='ignore', invalid='ignore'):       # a magnitude may be anything
             flux = 10.0**(-0.4 * frame.magnitude)
         flux[~np.isfinite(flux)] = np.nan

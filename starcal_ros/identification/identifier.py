@@ -217,7 +217,7 @@ class Identifier:
             return None
         return settled.identification(spots, tracked=True)
 
-    def _settle(self, prior: View, start: View, sigma: float, spots: _Spots,
+    def _settle(self, prior: View, start: View, sigma: float, spots: _Observed,
                 stamp_ns: int | None) -> _Settled | None:
         """Match and fit in turn until the gate is as narrow as the residuals allow."""
         view, detector = start, self._guess.detector
@@ -242,13 +242,13 @@ class Identifier:
         return _Settled(view, spots.row[spot], field.hip[star], field.u_i, stars, sigma,
                         float(np.sqrt(np.mean(residual**2))))
 
-    def _spots(self, uv_raster: Array, flux: Array, sigma: ArrayLike) -> _Spots:
+    def _spots(self, uv_raster: Array, flux: Array, sigma: ArrayLike) -> _Observed:
         """Return the spots that can be used: on the detector, with a finite sigma."""
         detector = self._guess.detector
         uv = np.asarray(uv_raster, float) - detector.centre_raster
         sigma = np.broadcast_to(np.asarray(sigma, float), len(uv))
         row = np.flatnonzero(detector.contains(uv) & np.isfinite(sigma) & (sigma >= 0.0))
-        return _Spots(len(uv), row, uv[row], np.asarray(flux, float)[row], sigma[row])
+        return _Observed(len(uv), row, uv[row], np.asarray(flux, float)[row], sigma[row])
 
     def _predict(self, stamp_ns: int, turn: Array | None) -> View | None:
         """Return the view that is expected at a stamp; None where nothing is."""
@@ -283,7 +283,7 @@ def _plausible(flux: Array, magnitude: Array) -> Mask:
     return ~known | (excess > -max(_BRIGHTER_MAGNITUDES, 4.0 * spread))
 
 
-class _Spots(NamedTuple):
+class _Observed(NamedTuple):
     """The usable spots of a frame of `total`: rows, places from the centre, fluxes, sigmas."""
 
     total: int
@@ -292,10 +292,10 @@ class _Spots(NamedTuple):
     flux: Array
     sigma: Array
 
-    def take(self, rows: Mask) -> _Spots:
+    def take(self, rows: Mask) -> _Observed:
         """Return some of the spots, of the same frame."""
-        return _Spots(self.total, self.row[rows], self.uv[rows], self.flux[rows],
-                      self.sigma[rows])
+        return _Observed(self.total, self.row[rows], self.uv[rows], self.flux[rows],
+                         self.sigma[rows])
 
 
 class _Settled(NamedTuple):
@@ -309,7 +309,7 @@ class _Settled(NamedTuple):
     sigma: float
     rms_px: float
 
-    def identification(self, spots: _Spots, tracked: bool) -> Identification:
+    def identification(self, spots: _Observed, tracked: bool) -> Identification:
         catalog_id = np.zeros(spots.total, np.int64)
         catalog_id[self.row] = self.hip
         return Identification(catalog_id, self.view, self.rms_px, tracked)

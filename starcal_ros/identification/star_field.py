@@ -22,7 +22,7 @@ _TIMELESS_NS = unix_ns('2020-01-01')
 _MARGIN = 1.1           # of the detector: aberration, and what the camera is wrong by
 
 
-class Field(NamedTuple):
+class FieldStars(NamedTuple):
     """Stars of the catalogue, brightest first.
 
     Attributes
@@ -68,7 +68,7 @@ class StarField:
         return self._places(self._stars.rows(hip), stamp_ns)
 
     def on(self, detector: Detector, C_si: Array, intrinsics: Array, stamp_ns: int | None,
-           count: int) -> Field:
+           count: int) -> FieldStars:
         """Return the brightest stars that fall on a detector or near it, `count` at most."""
         corner = np.array([detector.width, detector.height]) / 2.0 * _MARGIN
         edge = camera.unproject(corner * [[1, 1], [1, -1], [-1, 1], [-1, -1]], intrinsics,
@@ -76,7 +76,8 @@ class StarField:
         near = np.flatnonzero(self._direction @ C_si[2] > edge[:, 2].min())
         uv = camera.project(self._direction[near] @ C_si.T, intrinsics, detector.pitch_mm)
         row = self._brightest[near[detector.contains(uv / _MARGIN)][:count]]
-        return Field(self._stars.hip[row], self._places(row, stamp_ns), self._stars.magnitude[row])
+        return FieldStars(self._stars.hip[row], self._places(row, stamp_ns),
+                          self._stars.magnitude[row])
 
     def _places(self, row: Ints, stamp_ns: int | None) -> Array:
         when, who = ((_TIMELESS_NS, self._timeless) if stamp_ns is None

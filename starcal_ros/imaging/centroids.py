@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.imaging.background import background
-from starcal_ros.imaging.cutouts import Shape, Stamps
-from starcal_ros.imaging.detection import Spots, find_spots
+from starcal_ros.imaging.cutouts import Cutouts, Shape
+from starcal_ros.imaging.detection import Detections, find_spots
 from starcal_ros.imaging.pixels import top
 from starcal_ros.imaging.psf_fit import fit
 
@@ -33,7 +33,7 @@ _CANDIDATES, _SHAPE_SPOTS, _SHAPE_ROUNDS = 100, 20, 10
 _SETTLED = 5e-3                 # of the second moments, a change that does not matter
 _LEAST_SHOT = 1e-6              # counts: a million electrons a count show no shot noise
 _LEAST_SHAPE_SPOTS = 3
-_NEIGHBOUR_REACH_PX = 2         # of a neighbour's light into a stamp
+_NEIGHBOUR_REACH_PX = 2         # of a neighbour's light into a cutout
 _TYPICAL = Shape(0.7, np.zeros(2))       # where too few spots show one
 _ELONGATED_SIGMAS, _ELONGATED_PART = 5.0, 1.0
 
@@ -99,13 +99,13 @@ def extract(image: NDArray[np.generic], config: CentroidConfig) -> Centroids:
         return Centroids(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0),
                          np.empty(0, np.uint8), _TYPICAL)
 
-    def stamps(row: Rows, half: int) -> tuple[Stamps, Mask]:
-        cut = Stamps.of(counts, saturated, sky.noise, spots.uv_raster[row], half)
+    def cutouts(row: Rows, half: int) -> tuple[Cutouts, Mask]:
+        cut = Cutouts.of(counts, saturated, sky.noise, spots.uv_raster[row], half)
         return cut, _crowded(spots.uv_raster, half)[row]
 
-    shape, gain = _common_shape(stamps, spots, config.gain_electrons)
+    shape, gain = _common_shape(cutouts, spots, config.gain_electrons)
     row = np.arange(min(len(spots.flux), config.max_spots))
-    cut, crowded = stamps(row, shape.half)
+    cut, crowded = cutouts(row, shape.half)
     rough = spots.take(row)
     found = fit(cut, rough.uv_raster - cut.middle, shape, gain, config.gain_electrons is not None)
     good = found.good
@@ -120,7 +120,7 @@ def extract(image: NDArray[np.generic], config: CentroidConfig) -> Centroids:
         np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape)
 
 
-def _common_shape(stamps: Callable[[Rows, int], tuple[Stamps, Mask]], spots: Spots,
+def _common_shape(cutouts: Callable[[Rows, int], tuple[Cutouts, Mask]], spots: Detections,
                   gain: float | None) -> tuple[Shape, float]:
     """Return the shape that most of the clear spots have, and the electrons a count."""
     clear = np.argsort(-spots.significance, kind='stable')[:_CANDIDATES]
@@ -129,7 +129,7 @@ def _common_shape(stamps: Callable[[Rows, int], tuple[Stamps, Mask]], spots: Spo
     place, measured_gain = spots.uv_raster.copy(), np.inf
     shape = Shape.of_moments(np.median(spots.moments[clear], axis=0))
     for _ in range(_SHAPE_ROUNDS):
-        cut, crowded = stamps(clear, shape.half)
+        cut, crowded = cutouts(clear, shape.half)
         clean = np.flatnonzero(~(cut.saturated | cut.cut | crowded))[:_SHAPE_SPOTS]
         cut, row = cut.take(clean), clear[clean]
         if len(row) < _LEAST_SHAPE_SPOTS:
@@ -148,7 +148,7 @@ def _common_shape(stamps: Callable[[Rows, int], tuple[Stamps, Mask]], spots: Spo
 
 
 def _crowded(uv_raster: Array, half: int) -> Mask:
-    """Tell which spots have another one within reach of their stamp."""
+    """Tell which spots have another one within reach of their cutout."""
     if len(uv_raster) < 2:
         return np.zeros(len(uv_raster), bool)
     distance, _ = cKDTree(uv_raster).query(uv_raster, k=2, p=np.inf)

@@ -51,8 +51,8 @@ class Shape(NamedTuple):
         return int(min(half, _LARGEST_HALF))
 
 
-class Stamps(NamedTuple):
-    """Square cuttings of an image about n spots.
+class Cutouts(NamedTuple):
+    """Square cutouts of an image about n spots.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Stamps(NamedTuple):
     noise : (n,) array
         Standard deviation of a pixel without stars [counts].
     saturated, cut : (n,) bool array
-        Stamps with a saturated pixel, and those that reach out of the image.
+        Cutouts with a saturated pixel, and those that reach out of the image.
     """
 
     middle: Rows
@@ -77,7 +77,7 @@ class Stamps(NamedTuple):
 
     @classmethod
     def of(cls, counts: Image, saturated: Mask, noise: Image,
-           uv_raster: Array, half: int) -> Stamps:
+           uv_raster: Array, half: int) -> Cutouts:
         """Cut an image about some places, `half` pixels on each side of the nearest one."""
         middle = np.rint(uv_raster).astype(np.int64)
         reach = np.arange(-half, half + 1)
@@ -90,7 +90,7 @@ class Stamps(NamedTuple):
                    noise[middle[:, 1], middle[:, 0]].astype(float), full.any(axis=(1, 2)),
                    np.asarray((~inside).any(axis=(1, 2))))
 
-    def take(self, rows: Rows) -> Stamps:
-        """Return some of the stamps."""
-        return Stamps(self.middle[rows], self.counts[rows], self.valid[rows], self.noise[rows],
-                      self.saturated[rows], self.cut[rows])
+    def take(self, rows: Rows) -> Cutouts:
+        """Return some of the cutouts."""
+        return Cutouts(self.middle[rows], self.counts[rows], self.valid[rows], self.noise[rows],
+                       self.saturated[rows], self.cut[rows])

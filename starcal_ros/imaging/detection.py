@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Spots in an image: connected pixels that rise over the noise, roughly measured.
+"""Detections in an image: connected pixels that rise over the noise, roughly measured.
 
 The image is smoothed with (1, 2, 1) / 4 along both axes, nearly what fits a spot of s = 0.7 px
 best. Where it exceeds the threshold, pixels that touch make a spot; what is less than half of a
@@ -29,7 +29,7 @@ _SHARP = 0.25
 _LEAST_LIGHT = 1e-3             # counts: a pixel counts to its spot
 
 
-class Spots(NamedTuple):
+class Detections(NamedTuple):
     """Connected pixels, brightest first.
 
     Attributes
@@ -49,12 +49,12 @@ class Spots(NamedTuple):
     flux: Array
     significance: Array
 
-    def take(self, rows: Rows) -> Spots:
+    def take(self, rows: Rows) -> Detections:
         """Return some of the spots."""
-        return Spots(*(value[rows] for value in self))
+        return Detections(*(value[rows] for value in self))
 
 
-def find_spots(image: Image, noise: Image, threshold: float) -> Spots:
+def find_spots(image: Image, noise: Image, threshold: float) -> Detections:
     """Return the spots of an image less its background.
 
     Parameters
@@ -89,8 +89,8 @@ def find_spots(image: Image, noise: Image, threshold: float) -> Spots:
 
     keep = ~_sharp(image.ravel(), width, pixel, of, light)
     order = np.flatnonzero(keep)[np.argsort(-flux[keep], kind='stable')]
-    return Spots(uv[order], moments.reshape(-1, 2, 2)[order], flux[order],
-                 (flux / np.sqrt(variance))[order])
+    return Detections(uv[order], moments.reshape(-1, 2, 2)[order], flux[order],
+                      (flux / np.sqrt(variance))[order])
 
 
 def _connected(pixel: Rows, width: int) -> tuple[Rows, int]:

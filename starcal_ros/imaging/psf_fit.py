@@ -32,15 +32,15 @@ import numpy as np
 
 from starcal_ros.core import psf
 from starcal_ros.core.arrays import Array, Mask
-from starcal_ros.imaging.cutouts import Shape, Stamps
+from starcal_ros.imaging.cutouts import Cutouts, Shape
 
 _LEAST_PIXELS = 9               # that a fit needs
-_FARTHEST_PX = 1.5              # from the middle of the stamp, where a fit may end; its sigma
+_FARTHEST_PX = 1.5              # from the middle of the cutout, where a fit may end; its sigma
 _WIDTH_PART = 0.3               # of the frame's variance, what a star's differs by, 1 sigma
 _TINY = 1e-30
 
 
-class Fit(NamedTuple):
+class PsfFit(NamedTuple):
     """Fitted spots.
 
     Attributes
@@ -48,7 +48,7 @@ class Fit(NamedTuple):
     frame : Shape
         The shape that they were fitted with.
     offset : (n, 2) array
-        Place from the middle of the stamp [px].
+        Place from the middle of the cutout [px].
     covariance : (n, 2, 2) array
         Of the place [px^2].
     flux : (n,) array
@@ -62,7 +62,7 @@ class Fit(NamedTuple):
     shot : (n,) array
         Variance of the pixels beyond the noise, a count of light: 1 / gain, measured [counts].
     good : (n,) bool array
-        The fit came to an end near the middle of the stamp, and is known to lie there.
+        The fit came to an end near the middle of the cutout, and is known to lie there.
     """
 
     frame: Shape
@@ -86,16 +86,16 @@ class Fit(NamedTuple):
                              self.frame.trail + np.median(self.trail[self.good], axis=0))
 
 
-def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
-        iterations: int = 4) -> Fit:
-    """Return the spots of a shape that fit the stamps best, Eq. (C.1).
+def fit(cutouts: Cutouts, offset: Array, shape: Shape, gain: float, photons: bool,
+        iterations: int = 4) -> PsfFit:
+    """Return the spots of a shape that fit the cutouts best, Eq. (C.1).
 
     Parameters
     ----------
-    stamps : Stamps
+    cutouts : Cutouts
         Cuttings, k = 2 `shape.half` + 1.
     offset : (n, 2) array
-        Where to begin, from the middle of each stamp [px].
+        Where to begin, from the middle of each cutout [px].
     shape : Shape
         The frame's.
     gain : float
@@ -106,7 +106,7 @@ def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
         Of Gauss and Newton.
     """
     zero = np.zeros(len(offset))
-    spots = _Spots(stamps, shape, offset, zero, zero, zero + shape.sigma**2)
+    spots = _FittedSpots(cutouts, shape, offset, zero, zero, zero + shape.sigma**2)
     # Light and background first, at the place given; then all, with weights that follow.
     terms = spots.terms(gain, photons)
     spots = spots.moved(_solve(terms.columns[..., :2], terms.residual, terms.weight)[0])
@@ -114,17 +114,17 @@ def fit(stamps: Stamps, offset: Array, shape: Shape, gain: float, photons: bool,
         terms = spots.terms(gain, photons)
         spots = spots.moved(_solve(terms.columns, terms.residual, terms.weight)[0])
     terms = spots.terms(gain, photons)
-    covariance, shot, excess = _scatter(terms, stamps.noise)
+    covariance, shot, excess = _scatter(terms, cutouts.noise)
     trail, moments, moments_sigma = _shapes(terms, shape)
-    valid = stamps.valid.reshape(len(offset), -1).sum(axis=1)
+    valid = cutouts.valid.reshape(len(offset), -1).sum(axis=1)
     place = excess[:, None, None] * covariance[:, 2:4, 2:4]
     spread = np.linalg.eigvalsh(place)
     good = ((valid >= _LEAST_PIXELS) & (spots.flux > 0.0)
             & (np.abs(spots.offset) <= _FARTHEST_PX).all(axis=1)
             & (spread[:, 0] > 0.0) & (spread[:, 1] < _FARTHEST_PX**2))
     moments = moments + (spots.width - shape.sigma**2)[:, None, None] * np.eye(2)
-    return Fit(shape, spots.offset, place, spots.flux, spots.width, trail, moments,
-               moments_sigma, shot, good)
+    return PsfFit(shape, spots.offset, place, spots.flux, spots.width, trail, moments,
+                  moments_sigma, shot, good)
 
 
 class _Terms(NamedTuple):
@@ -180,17 +180,17 @@ def _shapes(terms: _Terms, shape: Shape) -> tuple[Array, Array, Array]:
             np.sqrt((wide[:, 4, 4] + wide[:, 6, 6]) / 2.0))
 
 
-class _Spots(NamedTuple):
-    """Spots on their stamps, and what they are believed to be."""
+class _FittedSpots(NamedTuple):
+    """Spots on their cutouts, and what they are believed to be."""
 
-    stamps: Stamps
+    cutouts: Cutouts
     shape: Shape
     offset: Array
     flux: Array
     base: Array
     width: Array
 
-    def moved(self, step: Array) -> _Spots:
+    def moved(self, step: Array) -> _FittedSpots:
         """Return the spots after a step (n, 2 or 5), which is kept within bounds."""
         flux, base = self.flux + step[:, 0], self.base + step[:, 1]
         if step.shape[1] == 2:
@@ -201,11 +201,11 @@ class _Spots(NamedTuple):
 
     def terms(self, gain: float, photons: bool) -> _Terms:
         """Return the terms of the next step."""
-        stamps, n, flux = self.stamps, len(self.flux), self.flux[:, None]
+        cutouts, n, flux = self.cutouts, len(self.flux), self.flux[:, None]
         image = _Image(self.offset, self.shape.trail, np.sqrt(self.width),
-                       stamps.counts.shape[1] // 2)
+                       cutouts.counts.shape[1] // 2)
         light = image.part()
-        even = np.broadcast_to(stamps.noise[:, None]**2, light.shape)
+        even = np.broadcast_to(cutouts.noise[:, None]**2, light.shape)
         variance = even + np.maximum(flux * light, 0.0) / gain
         # The last row: the width is that of the frame, give or take a part of it.
         frame = self.shape.sigma**2
@@ -215,14 +215,14 @@ class _Spots(NamedTuple):
         columns[:, :-1, 2], columns[:, :-1, 3] = flux * image.part(1, 0), flux * image.part(0, 1)
         columns[:, :-1, 4] = flux * (image.part(2, 0) + image.part(0, 2)) / 2.0
         columns[:, -1, 4] = 1.0
-        residual = stamps.counts.reshape(n, -1) - flux * light - self.base[:, None]
-        weight = stamps.valid.reshape(n, -1) / (variance if photons else even)
+        residual = cutouts.counts.reshape(n, -1) - flux * light - self.base[:, None]
+        weight = cutouts.valid.reshape(n, -1) / (variance if photons else even)
         return _Terms(columns, np.hstack((residual, frame - self.width[:, None])),
                       np.hstack((weight, 1.0 / loose)), np.hstack((variance, loose)), image, flux)
 
 
 class _Image:
-    """The part of the light of n stars in each pixel of their stamps, and its derivatives."""
+    """The part of the light of n stars in each pixel of their cutouts, and its derivatives."""
 
     def __init__(self, offset: Array, trail: Array, sigma: Array, half: int) -> None:
         self._t, weight = psf.points(

@@ -15,7 +15,7 @@ from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.measurements.timeline import Stamped
 
 
-def turns(gyro: GyroSamples, frames: Stamped, scenario: Scenario) -> list[Array | None]:
+def from_gyro(gyro: GyroSamples, frames: Stamped, scenario: Scenario) -> list[Array | None]:
     """Return how the star tracker turned up to each frame from the one before, C_s1s0.
 
     None for the first one, and where the readings do not reach from frame to frame.

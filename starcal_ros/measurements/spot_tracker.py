@@ -30,7 +30,7 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import DEG, DEG_PER_HOUR, NS
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.measurements.star_directions import Places
+from starcal_ros.measurements.star_directions import StarDirections
 
 WIDE = 1.5 * DEG
 """A spot may be this far from where it is expected: what a slew may turn between two frames."""
@@ -68,7 +68,7 @@ class SpotTracker:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._places = Places(scenario)
+        self._directions = StarDirections(scenario)
         self._intrinsics = intrinsics(scenario.camera)
         self._pitch_mm = detector(scenario.camera).pitch_mm
         gate = max(_GATE_PX, _GATE_SIGMAS * scenario.star_tracker.centroid_sigma_px)
@@ -96,7 +96,7 @@ class SpotTracker:
         """
         if not len(frames):
             return Followed(np.empty(0, np.int64), np.empty((0, 3, 3)))
-        uv, _, measured = self._places.centroids(frames)
+        uv, _, measured = self._directions.centroids(frames)
         w_s = camera.unproject(np.where(measured[:, None], uv, 0.0), self._intrinsics,
                                self._pitch_mm)
         begin_ns = [self._last_ns] if len(self._number) else frames.stamp_ns[:1]

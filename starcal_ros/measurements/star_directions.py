@@ -39,7 +39,7 @@ class Placed(NamedTuple):
     notices: list[tuple[object, str]]
 
 
-class Places:
+class StarDirections:
     """Finds the stars of frames in the catalogue, as a scenario's observer sees them.
 
     Parameters

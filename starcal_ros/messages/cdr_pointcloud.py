@@ -105,7 +105,7 @@ def decode_centroids(messages: Messages) -> Frames:
     return _assemble(stamp_ns, counts, parts)
 
 
-def with_numbers(message: bytes, catalog_id: Ints) -> bytes:
+def with_catalog_ids(message: bytes, catalog_id: Ints) -> bytes:
     """Return a cloud with these Hipparcos numbers and all else as it was.
 
     A cloud without a field `catalog_id` gets one at the end of its points, and then has no

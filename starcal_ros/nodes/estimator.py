@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from starcal_ros import __version__
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.messages import cdr_imu, cdr_pointcloud
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
@@ -23,19 +23,19 @@ from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
 from starcal_ros.nodes.estimator_results import Results
 from starcal_ros.results import initial, result
-from starcal_ros.results.store import Archive, ArchiveError
+from starcal_ros.results.store import CalibrationStore, StoreError
 
 _DIAGNOSTICS_S = 1.0
 
 
 class Estimator(ManagedNode):
-    """Feed a `Stream` from two topics and publish what it gives."""
+    """Feed a `Calibrator` from two topics and publish what it gives."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('estimator', 'camera', 'mounting', 'gyro', 'star_tracker', 'observer',
                          'estimator', **options)
         parameters.follow(self, self.scenario, self._change)
-        self._stream: Stream | None = None
+        self._calibrator: Calibrator | None = None
         self.inputs: list[MatchedSubscription] = []
         self.start()
 
@@ -43,8 +43,8 @@ class Estimator(ManagedNode):
 
     def configure(self) -> None:
         """Prepare the calibration, its publishers and services."""
-        self._archive = Archive(Path(self.scenario.estimator.calibration_directory)
-                                / self.get_namespace().strip('/'))
+        self._archive = CalibrationStore(Path(self.scenario.estimator.calibration_directory)
+                                         / self.get_namespace().strip('/'))
         self._enabled = True
         self._begin()
         self._results = Results(self)
@@ -85,55 +85,56 @@ class Estimator(ManagedNode):
         for server in self._servers:
             self.destroy_service(server)
         self._results.destroy()
-        self._stream = None
+        self._calibrator = None
 
     # Messages
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         if self._enabled:
             for part in decoded(batch, cdr_imu.decode_imu, self._drop):
-                self._stream.add_gyro(part)
+                self._calibrator.add_gyro(part)
             self._advance()
 
     def _on_frames(self, batch: list[bytes]) -> None:
         if self._enabled:
             for part in decoded(batch, cdr_pointcloud.decode_centroids, self._drop):
-                self._stream.add_frames(part)
+                self._calibrator.add_frames(part)
             self._advance()
 
     def _drop(self, why: str) -> None:
-        self._stream.counts.dropped_messages += 1
+        self._calibrator.counts.dropped_messages += 1
         self.get_logger().error(why)
 
     def _advance(self) -> None:
-        """Publish what the stream gives by now."""
-        stream = self._stream
-        for frame in stream.process(tracked=True):
-            self._results.publish_track(stream, frame.track)
-            self._results.publish_frame(stream, frame)
-        self._results.publish_track(stream, stream.track())
-        for text in stream.take_notices():
+        """Publish what the calibrator gives by now."""
+        calibrator = self._calibrator
+        for frame in calibrator.process(tracked=True):
+            self._results.publish_track(calibrator, frame.track)
+            self._results.publish_frame(calibrator, frame)
+        self._results.publish_track(calibrator, calibrator.track())
+        for text in calibrator.take_notices():
             self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
-        self._results.publish_diagnostics(self._diagnostics.message(self._stream, self._enabled))
+        self._results.publish_diagnostics(self._diagnostics.message(self._calibrator,
+                                                                    self._enabled))
 
     # Services and parameters
 
     def _begin(self) -> None:
-        self._start = initial.start(self.scenario, self._archive)
-        self._stream = Stream(self._start.scenario, self._start.covariance)
+        self._start = initial.initial_values(self.scenario, self._archive)
+        self._calibrator = Calibrator(self._start.scenario, self._start.covariance)
         for text in self._start.notices:
             self.get_logger().warning(text)
 
     def _save(self, _: Any, response: Any) -> Any:
         try:
-            outcome = result.result(self._stream, {
+            outcome = result.result(self._calibrator, {
                 'version': __version__, 'config_sha256': self.scenario.sha256,
                 'saved_utc': datetime.now(timezone.utc).isoformat(timespec='seconds'),
                 'began_with': self._start.source or 'nominal values'})
             folder = self._archive.save(initial.files(outcome, self.scenario))
-        except (result.CalibrationError, ArchiveError) as error:
+        except (result.CalibrationError, StoreError) as error:
             response.success, response.message = False, str(error)
         else:
             response.success, response.message = True, f'saved as {folder}'
@@ -142,7 +143,7 @@ class Estimator(ManagedNode):
     def _undo(self, _: Any, response: Any) -> Any:
         try:
             aside = self._archive.undo()
-        except ArchiveError as error:
+        except StoreError as error:
             response.success, response.message = False, str(error)
         else:
             response.success, response.message = True, f'set aside as {aside}'
@@ -162,8 +163,8 @@ class Estimator(ManagedNode):
 
     def _change(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        if self._stream:
-            self._stream.use(scenario.estimator)
+        if self._calibrator:
+            self._calibrator.use(scenario.estimator)
 
 
 def main(args: list[str] | None = None) -> int:

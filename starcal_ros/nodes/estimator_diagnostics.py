@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from starcal_ros.filter import verdict
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import PHI, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 
@@ -30,21 +30,23 @@ class Diagnostics:
         self._heard_s: dict[str, float] = {}        # by topic, as the next
         self._received: dict[str, int] = {}
 
-    def message(self, stream: Stream, enabled: bool) -> DiagnosticArray:
+    def message(self, calibrator: Calibrator, enabled: bool) -> DiagnosticArray:
         """Return health, counts and the verdict on the calibration, and what is received."""
-        message = DiagnosticArray(status=[self._calibration(stream, enabled), self._of_inputs()])
+        message = DiagnosticArray(status=[self._calibration(calibrator, enabled),
+                                          self._of_inputs()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         return message
 
-    def _calibration(self, stream: Stream, enabled: bool) -> DiagnosticStatus:
-        belief = stream.belief
-        values = {name: str(value) for name, value in dataclasses.asdict(stream.counts).items()}
-        values['waiting_frames'] = str(stream.waiting)
+    def _calibration(self, calibrator: Calibrator, enabled: bool) -> DiagnosticStatus:
+        belief = calibrator.belief
+        counts = dataclasses.asdict(calibrator.counts)
+        values = {name: str(value) for name, value in counts.items()}
+        values['waiting_frames'] = str(calibrator.waiting)
         if not enabled:
             return self._status('calibration', DiagnosticStatus.WARN, 'disabled', values)
         if belief is None:
             return self._status('calibration', DiagnosticStatus.WARN, 'no attitude yet', values)
-        judged = verdict.judge(stream.filter, belief, stream.tracking)
+        judged = verdict.judge(calibrator.filter, belief, calibrator.tracking)
         values['not_told_apart'] = '; '.join(
             f'{", ".join(coupling.names)}: {verdict.advice(coupling.axis)}'
             for coupling in judged.couplings) or 'none'
@@ -52,7 +54,7 @@ class Diagnostics:
         values['correlation_v0_psi_x'] = f'{judged.v0_psi_x:.4f}'
         u, v = judged.equivalent_sigma_px
         values['sigma_equivalent_principal_point_px'] = f'{u:.3g} {v:.3g}'
-        u, v = stream.reprojection_rms_px
+        u, v = calibrator.reprojection_rms_px
         values['reprojection_rms_px'] = f'{u:.4f} {v:.4f}'
         for name, unit, sigma in zip(STATE_NAMES[PHI], STATE_UNITS[PHI],
                                      belief.sigma[PHI] / UNIT[PHI]):
@@ -60,7 +62,7 @@ class Diagnostics:
         for state in judged.states:
             values[f'sigma_{state.name}'] = (
                 f'{state.sigma:.3g} {state.unit}, tolerance {state.tolerance:.3g}')
-        level = DiagnosticStatus.OK if stream.tracking else DiagnosticStatus.ERROR
+        level = DiagnosticStatus.OK if calibrator.tracking else DiagnosticStatus.ERROR
         return self._status('calibration', level, judged.summary, values)
 
     def _of_inputs(self) -> DiagnosticStatus:

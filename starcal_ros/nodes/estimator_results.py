@@ -10,8 +10,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-from starcal_ros.filter.attitude_track import Track
-from starcal_ros.filter.calibrator import FrameResult, Stream
+from starcal_ros.filter.attitude_track import AttitudeTrack
+from starcal_ros.filter.calibrator import Calibrator, FrameResult
 from starcal_ros.nodes.base import ros_messages
 from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain
 
@@ -50,18 +50,18 @@ class Results:
         self.publishers.append(publisher)
         return publisher
 
-    def publish_track(self, stream: Stream, track: Track) -> None:
+    def publish_track(self, calibrator: Calibrator, track: AttitudeTrack) -> None:
         """Publish the attitude and the rate at gyro stamps."""
-        for message in ros_messages.imus(track, stream.rate_covariance):
+        for message in ros_messages.imus(track, calibrator.rate_covariance):
             self._imu.publish(message)
 
-    def publish_frame(self, stream: Stream, frame: FrameResult) -> None:
+    def publish_frame(self, calibrator: Calibrator, frame: FrameResult) -> None:
         """Publish what a frame gave."""
         stamp_ns, belief = frame.stamp_ns, frame.belief
         covariance = belief.covariance
         self._state.publish(ros_messages.state(stamp_ns, belief))
         self._camera.publish(ros_messages.camera_info(
-            stamp_ns, belief.estimate.intrinsics, stream.filter.detector))
+            stamp_ns, belief.estimate.intrinsics, calibrator.filter.detector))
         self._bias.publish(ros_messages.gyro_bias(stamp_ns, belief, covariance))
         self._mounting.publish(ros_messages.mounting(stamp_ns, belief, covariance))
         if self._transform:

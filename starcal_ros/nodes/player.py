@@ -31,7 +31,7 @@ from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
 from starcal_ros.nodes.base.qos import message_type
-from starcal_ros.recording.bag import Bag, Topic, open_bag
+from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
 
 _RESULTS = tuple('/' + topic.name.lstrip('/') for topic in TOPICS if topic.result)
 _OF_ROS = ('/rosout', '/parameter_events', '/clock')
@@ -72,7 +72,7 @@ class Player(Node):
         self._feed.close()
         self.get_logger().info(f'{self._feed.published} messages played')
 
-    def _choose(self, bag: Bag, player: PlayerConfig) -> list[Topic]:
+    def _choose(self, bag: Bag, player: PlayerConfig) -> list[RecordedTopic]:
         topics = {topic.name: topic for topic in bag.topics()}
         wanted = [self.resolve_topic_name(name) for name in player.topics]
         for name in wanted:
@@ -82,7 +82,7 @@ class Player(Node):
         return [topic for name, topic in topics.items()
                 if (name in wanted if wanted else not name.endswith(_RESULTS + _OF_ROS))]
 
-    def _publisher(self, topic: Topic) -> FlowPublisher | None:
+    def _publisher(self, topic: RecordedTopic) -> FlowPublisher | None:
         kind = message_type(topic.type) if topic.encoding == 'cdr' else None
         if kind is None:
             self.get_logger().warning(f'{topic.name} is not played: {topic.type} is not installed')

@@ -17,7 +17,7 @@ from sensor_msgs.msg import Imu, PointCloud2
 
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core.arrays import Ints
-from starcal_ros.identification.frame_identifier import Numbering
+from starcal_ros.identification.frame_identifier import FrameIdentifier
 from starcal_ros.messages import cdr, cdr_imu, cdr_pointcloud
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
@@ -39,7 +39,7 @@ class _Waiting(NamedTuple):
 
 
 class StarIdentifier(ManagedNode):
-    """Feed a `Numbering` from two topics and publish the frames with the numbers it finds."""
+    """Feed a `FrameIdentifier` from two topics; publish frames with catalogue numbers."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('star_identifier', 'camera', 'mounting', 'gyro', 'star_tracker',
@@ -50,7 +50,7 @@ class StarIdentifier(ManagedNode):
     def configure(self) -> None:
         """Prepare the identification, which takes some seconds, and its publisher."""
         try:
-            self._numbering = Numbering(self.scenario)
+            self._identifier = FrameIdentifier(self.scenario)
         except (ImportError, ValueError) as error:
             raise ConfigError(str(error)) from None
         self._waiting: deque[_Waiting] = deque()
@@ -77,7 +77,7 @@ class StarIdentifier(ManagedNode):
             run_loop.end_timer(self, timer)
         for subscription in self.inputs:
             subscription.take_all()
-        self._publish(self._numbering.process(wait=False))
+        self._publish(self._identifier.process(wait=False))
         for subscription in self.inputs:
             subscription.destroy()
         self.inputs.clear()
@@ -90,14 +90,14 @@ class StarIdentifier(ManagedNode):
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         for part in decoded(batch, cdr_imu.decode_imu, self._drop):
-            self._numbering.add_gyro(part)
+            self._identifier.add_gyro(part)
         self._advance()
 
     def _on_spots(self, batch: list[bytes]) -> None:
         self.inputs[0].take_all()       # readings that have come, though their publisher is gone
         for message in batch:
             for frames in decoded([message], cdr_pointcloud.decode_centroids, self._drop):
-                self._numbering.add_frames(frames)
+                self._identifier.add_frames(frames)
                 self._waiting.append(_Waiting(message, time.monotonic()))
         self._advance()
 
@@ -106,23 +106,23 @@ class StarIdentifier(ManagedNode):
 
     def _advance(self) -> None:
         """Publish what need not wait for the gyro, or has waited long enough."""
-        self._publish(self._numbering.process(wait=True))
+        self._publish(self._identifier.process(wait=True))
         while self._waiting and (time.monotonic() - self._waiting[0].since_s > _PATIENCE_S
                                  or not self.inputs[0].publishers):
-            self._publish(islice(self._numbering.process(wait=False), 1))
+            self._publish(islice(self._identifier.process(wait=False), 1))
 
     def _publish(self, numbers: Iterable[Ints]) -> None:
         for number in numbers:
             message = self._waiting.popleft().cloud
             try:
-                message = cdr_pointcloud.with_numbers(message, number)
+                message = cdr_pointcloud.with_catalog_ids(message, number)
             except cdr.RecordError as error:
                 self._tally.fault('unsuitable cloud', f'message dropped: {error}')
                 continue
             self._stars.publish(message)
-        for text in self._numbering.take_notices():
+        for text in self._identifier.take_notices():
             self._tally.fault('mirrored', text)
-        self._tally.done.update(self._numbering.take_counts())
+        self._tally.done.update(self._identifier.take_counts())
 
 
 def main(args: list[str] | None = None) -> int:

@@ -30,7 +30,7 @@ _BATCH = 10_000
 
 
 @dataclass(frozen=True)
-class Topic:
+class RecordedTopic:
     """A topic of a bag.
 
     Attributes
@@ -65,7 +65,7 @@ class Bag(Protocol):
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the bag, so far as it has been read."""
 
-    def topics(self) -> list[Topic]:
+    def topics(self) -> list[RecordedTopic]:
         """Return the topics, sorted by name."""
 
     def log_times(self, name: str) -> Ints:
@@ -144,12 +144,12 @@ class _McapBag:
     def warnings(self) -> tuple[str, ...]:
         return tuple(text for part in self._parts for text in part.warnings)
 
-    def topics(self) -> list[Topic]:
-        merged: dict[str, list[Topic]] = {}
+    def topics(self) -> list[RecordedTopic]:
+        merged: dict[str, list[RecordedTopic]] = {}
         for part in self._parts:
             for channel in part.channels.values():
                 schema = part.schemas.get(channel.schema_id)
-                merged.setdefault(channel.topic, []).append(Topic(
+                merged.setdefault(channel.topic, []).append(RecordedTopic(
                     channel.topic, schema.name if schema else '', channel.message_encoding,
                     _describe_yaml(channel.metadata.get('offered_qos_profiles', '')),
                     len(part.log_times(channel.id))))
@@ -182,11 +182,11 @@ class _OtherBag:
         self.files = files
         self._path = path
 
-    def topics(self) -> list[Topic]:
-        topics: dict[str, list[Topic]] = {}
+    def topics(self) -> list[RecordedTopic]:
+        topics: dict[str, list[RecordedTopic]] = {}
         with self._reader() as reader:
             for connection in reader.connections:
-                topics.setdefault(connection.topic, []).append(Topic(
+                topics.setdefault(connection.topic, []).append(RecordedTopic(
                     connection.topic, connection.msgtype,
                     getattr(connection.ext, 'serialization_format', ''),
                     _describe(getattr(connection.ext, 'offered_qos_profiles', [])),
@@ -220,13 +220,14 @@ class _OtherBag:
                               f'{" ".join(str(error).split())}') from error
 
 
-def _merge(parts: list[Topic]) -> Topic:
+def _merge(parts: list[RecordedTopic]) -> RecordedTopic:
     """Join what several channels or files say of one topic."""
     def words(values: list[str]) -> str:
         return ' | '.join(sorted(set(filter(None, values))))
-    return Topic(parts[0].name, words([part.type for part in parts]),
-                 words([part.encoding for part in parts]), words([part.qos for part in parts]),
-                 sum(part.count for part in parts))
+    return RecordedTopic(parts[0].name, words([part.type for part in parts]),
+                         words([part.encoding for part in parts]), words(
+                             [part.qos for part in parts]),
+                         sum(part.count for part in parts))
 
 
 def _describe_yaml(profiles: str) -> str:

@@ -24,7 +24,7 @@ from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_image import IMAGE_TYPE
 from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, decode_centroids
-from starcal_ros.recording.bag import Bag, Topic, open_bag
+from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
 
 GYRO_TOPIC = '/imu/data_raw'
 FRAMES_TOPIC = '/star_tracker/centroids'
@@ -197,8 +197,9 @@ def summary(path: str | Path) -> Summary:
                    sum(file.stat().st_size for file in bag.files), bag.warnings)
 
 
-def _frames_topic(topics: list[Topic], path: Path, measure: Callable[[Messages], Frames] | None,
-                  images_first: bool) -> tuple[Topic, Callable[[Messages], Frames]]:
+def _frames_topic(topics: list[RecordedTopic], path: Path,
+                  measure: Callable[[Messages], Frames] | None, images_first: bool
+                  ) -> tuple[RecordedTopic, Callable[[Messages], Frames]]:
     """Find the topic of the star frames, and what makes frames of its messages."""
     stars = _candidates(topics, FRAMES_TOPIC, CLOUD_TYPE)
     images = _candidates(topics, IMAGES_TOPIC, IMAGE_TYPE)
@@ -209,7 +210,7 @@ def _frames_topic(topics: list[Topic], path: Path, measure: Callable[[Messages],
     return _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path), decode_centroids
 
 
-def _candidates(topics: list[Topic], wanted: str, wanted_type: str) -> list[Topic]:
+def _candidates(topics: list[RecordedTopic], wanted: str, wanted_type: str) -> list[RecordedTopic]:
     """Return the topic of a name, or those that end with it, or those of its type."""
     return ([topic for topic in topics if topic.name == wanted]
             or [topic for topic in topics if topic.name.endswith(wanted)]
@@ -217,7 +218,8 @@ def _candidates(topics: list[Topic], wanted: str, wanted_type: str) -> list[Topi
                 if topic.type == wanted_type and not topic.name.endswith(_NOT_OF_SENSORS)])
 
 
-def _choose(topics: list[Topic], wanted: str, wanted_type: str, path: Path) -> Topic:
+def _choose(topics: list[RecordedTopic], wanted: str, wanted_type: str, path: Path
+            ) -> RecordedTopic:
     """Find the only candidate for a topic."""
     found = _candidates(topics, wanted, wanted_type)
     if len(found) != 1:

@@ -54,8 +54,8 @@ def still_images(result: dict[str, Any], title: str) -> Table:
     out = _table(title, ('parameter', 'unit', 'estimate', 'sigma'))
     counts, heldout = result['counts'], result['heldout_rms_px']
     out.caption = (
-        f'{counts["images"]} images, {counts["stars"]} stars used, {counts["refused_stars"]} '
-        f'refused; residual of an axis {result["fit_rms_px"]:.4f} px'
+        f'{counts["images"]} images, {counts["stars"]} stars used, {counts["rejected_stars"]} '
+        f'rejected; residual of an axis {result["fit_rms_px"]:.4f} px'
         + ('' if heldout is None else f', {heldout:.4f} px on held-out images'))
     for key in result['parameters']:
         out.add_row(*entry(result, key))

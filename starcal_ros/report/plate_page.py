@@ -47,7 +47,7 @@ def _camera(outcome: dict[str, Any]) -> str:
     return section(
         'camera', 'Camera',
         paragraph(f'{counts["images"]} images, {counts["stars"]} stars used, '
-                  f'{counts["refused_stars"]} refused; method {outcome["method"]}. OpenCV\'s '
+                  f'{counts["rejected_stars"]} rejected; method {outcome["method"]}. OpenCV\'s '
                   'forward model, (0, 0) the centre of the top-left pixel. A centroid has a sigma '
                   f'of {outcome["centroid_sigma_px"]:.4f} px in each axis, from the residuals.'),
         table(['parameter', 'unit', 'estimate', 'sigma'],
@@ -83,7 +83,7 @@ def _residuals(name: str, title: str, refit: Refit, found: StillImageCamera) -> 
         name, title,
         paragraph(f'Measured minus predicted centroid, the attitude of each image fitted and the '
                   f'camera held: RMS {refit.rms_px:.4f} px an axis.'),
-        table(['image', 'stars', 'refused', 'RMS u [px]', 'RMS v [px]'], rows),
+        table(['image', 'stars', 'rejected', 'RMS u [px]', 'RMS v [px]'], rows),
         charts([detector_charts.residual_map(stars, pixels),
                 *detector_charts.residual_histograms(stars)]))
 

@@ -92,7 +92,7 @@ def summary(result: dict[str, Any]) -> str:
     """Return one sentence on what a RESULT.json rests on."""
     counts, (u, v) = result['counts'], result['reprojection_rms_px']
     return (f'{counts["frames"]} frames, {counts["stars"]} stars used, '
-            f'{counts["rejected_stars"]} refused, {counts["gyro"]} gyro readings, '
+            f'{counts["rejected_stars"]} rejected, {counts["gyro"]} gyro readings, '
             f'{counts["gyro_gaps"]} gaps, {counts["dropped_messages"]} messages dropped; '
             f'reprojection error {u:.4f}, {v:.4f} px; '
             + ('converged' if result['converged'] else 'not converged to the tolerances'))

@@ -113,7 +113,7 @@ def star_map(stars: NDArray[np.void], size: tuple[int, int], columns: int = _COL
     row = np.clip((stars['v'] + 0.5) * rows // height, 0, rows - 1).astype(int)
     sector = np.rint(np.arctan2(stars['dv'], stars['du']) / (np.pi / 4.0)).astype(int) % 8
     cells = [[(' ', '')] * columns for _ in range(rows)]
-    for k in np.argsort(~stars['accepted'].astype(bool), kind='stable'):    # the refused on top
+    for k in np.argsort(~stars['accepted'].astype(bool), kind='stable'):    # the rejected on top
         if not stars['accepted'][k]:
             sign = '×', 'bold red'
         elif stars['nis'][k] <= _USUAL:
@@ -174,4 +174,4 @@ def _stars(stars: NDArray[np.void], size: tuple[int, int]) -> Iterator[Renderabl
         du, dv = (np.sqrt(np.mean(used[name]**2)) for name in ('du', 'dv'))
         caption += f', {short(du)} {short(dv)} px'
     yield Text(caption)
-    yield Text('• inside 68 %  → beyond  × refused', style='dim')
+    yield Text('• inside 68 %  → beyond  × rejected', style='dim')

@@ -34,7 +34,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.evaluation import batch, bounds, montecarlo
-from starcal_ros.evaluation.batch import Step
+from starcal_ros.evaluation.batch import BatchFrame
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter
@@ -153,7 +153,7 @@ def _traced(scenario: Scenario, runs: int, on_progress: Callable[[float], None])
     return Traces(*values)
 
 
-def _residuals(filter_: Filter, step: Step) -> tuple[_Residuals, _Residuals]:
+def _residuals(filter_: Filter, step: BatchFrame) -> tuple[_Residuals, _Residuals]:
     """Return runs, residuals and variances of the stars used and of the stars held out."""
     stars, update = step.stars, step.update
     left_out = np.arange(stars.sigma.shape[-1]) % HELD_OUT == step.number % HELD_OUT

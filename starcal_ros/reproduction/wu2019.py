@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from starcal_ros.calibration import attitude_free
-from starcal_ros.calibration.attitude_free import Belief, Measurement
+from starcal_ros.calibration.attitude_free import CameraBelief, Measurement
 from starcal_ros.calibration.invariants import Lens
 from starcal_ros.calibration.methods import angular_distance, singular_value
 from starcal_ros.config.scenario import Scenario
@@ -68,7 +68,7 @@ METHODS: dict[str, dict[str, Measurement]] = {
 """By name and weighting: the angular distances, and {sigma2, sigma3} of Model 4."""
 
 
-class View(NamedTuple):
+class PerfectFrame(NamedTuple):
     """What a frame shows without noise.
 
     Attributes
@@ -86,8 +86,8 @@ class View(NamedTuple):
 class Sky(NamedTuple):
     """The frames of a data set: those to calibrate with, and those to judge by."""
 
-    calibrate: list[View]
-    judge: list[View]
+    calibrate: list[PerfectFrame]
+    judge: list[PerfectFrame]
 
 
 def sky(scenario: Scenario, group: Group) -> Sky:
@@ -101,16 +101,17 @@ def sky(scenario: Scenario, group: Group) -> Sky:
     return Sky(views[:frames], views[frames:])
 
 
-def _view(u_i: Array, C_si: Array) -> View:
+def _view(u_i: Array, C_si: Array) -> PerfectFrame:
     half = 0.5 * DETECTOR.pitch_mm * np.hypot(DETECTOR.width, DETECTOR.height)
     # 1.1: the principal point is off the centre, and the distortion draws stars in
     near = u_i[u_i @ C_si[2] > np.cos(np.arctan(1.1 * half / TRUTH[1]))]
     uv = published_cameras.project_w19(near @ C_si.T, TRUTH, DETECTOR.pitch_mm)
     seen = DETECTOR.contains(uv - DETECTOR.centre_raster)
-    return View(near[seen], uv[seen])
+    return PerfectFrame(near[seen], uv[seen])
 
 
-def noisy(views: Sequence[View], sigma_px: float, seeds: Iterable[Sequence[int]]) -> list[Array]:
+def noisy(views: Sequence[PerfectFrame], sigma_px: float, seeds: Iterable[Sequence[int]]
+          ) -> list[Array]:
     """Return the centroids of each frame with noise, (runs, n, 2), a seed a run."""
     counts = [len(view.uv) for view in views]
     noise = np.stack([np.random.default_rng(seed).standard_normal((sum(counts), 2))
@@ -119,8 +120,9 @@ def noisy(views: Sequence[View], sigma_px: float, seeds: Iterable[Sequence[int]]
         views, np.split(noise, np.cumsum(counts)[:-1], axis=1))]
 
 
-def calibrate(views: Sequence[View], uv: Sequence[Array], sigma_px: float, measure: Measurement,
-              each: Callable[[Belief], None] = lambda belief: None) -> Belief:
+def calibrate(views: Sequence[PerfectFrame], uv: Sequence[Array], sigma_px: float,
+              measure: Measurement,
+              each: Callable[[CameraBelief], None] = lambda belief: None) -> CameraBelief:
     """Return what is known after all frames, of all runs.
 
     Parameters
@@ -135,7 +137,7 @@ def calibrate(views: Sequence[View], uv: Sequence[Array], sigma_px: float, measu
         Called with what is known after each frame.
     """
     runs = len(uv[0])
-    belief = Belief(np.tile(START, (runs, 1)), np.tile(np.diag(START_SIGMA), (runs, 1, 1)))
+    belief = CameraBelief(np.tile(START, (runs, 1)), np.tile(np.diag(START_SIGMA), (runs, 1, 1)))
     for view, measured in zip(views, uv):
         if len(view.uv) >= singular_value.MIN_STARS:
             u_i = np.broadcast_to(view.u_i, (runs, *view.u_i.shape))
@@ -145,7 +147,7 @@ def calibrate(views: Sequence[View], uv: Sequence[Array], sigma_px: float, measu
     return belief
 
 
-def rmse_arcsec(parameters: Array, views: Sequence[View], uv: Sequence[Array]) -> Array:
+def rmse_arcsec(parameters: Array, views: Sequence[PerfectFrame], uv: Sequence[Array]) -> Array:
     """Return the RMS error of the angular distances of each frame, (runs, frames) [arcsec].
 
     Criterion A of W19 with centroids without noise, B with noisy ones; frames of one star, which
@@ -164,7 +166,7 @@ def _angles(w: Array) -> Array:
     return 2.0 * np.arcsin(0.5 * chord)
 
 
-def cramer_rao(views: Sequence[View], sigma_px: float) -> Array:
+def cramer_rao(views: Sequence[PerfectFrame], sigma_px: float) -> Array:
     """Return the bound on the covariance of W19's parameters, (6, 6), attitudes unknown.
 
     Slopes are differences of the projection, so that a wrong derivative is not repeated here.
@@ -190,19 +192,19 @@ def _slope(more: Array, less: Array, step: Array | float = 0.0) -> Array:
             - published_cameras.project_w19(less, TRUTH - step, DETECTOR.pitch_mm)).ravel()
 
 
-def nees(belief: Belief) -> Array:
+def nees(belief: CameraBelief) -> Array:
     """Return the normalised estimation error squared of each run, (runs,); 6 degrees."""
     whitened = np.linalg.solve(belief.root, (belief.parameters - TRUTH)[..., None])
     return np.sum(whitened**2, axis=(-2, -1))
 
 
-def rich_views(scenario: Scenario, count: int) -> list[View]:
+def rich_views(scenario: Scenario, count: int) -> list[PerfectFrame]:
     """Return the first frames of group2 that show all models, for W19's Fig. 3 and 4."""
     return [view for view in sky(scenario, GROUPS['group2']).calibrate
             if len(view.uv) >= _RICH][:count]
 
 
-def least_observable(view: View, model: int, chosen: Sequence[int]) -> float:
+def least_observable(view: PerfectFrame, model: int, chosen: Sequence[int]) -> float:
     """Return the minimum singular value of the observability matrix of a frame (W19 Eq. 30).
 
     In units of PRECISION, of the slopes of singular values as they are, in no units of sigma.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.calibration import attitude_free
-from starcal_ros.calibration.attitude_free import Belief, Measurement
+from starcal_ros.calibration.attitude_free import CameraBelief, Measurement
 from starcal_ros.calibration.methods.singular_value import MIN_STARS
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
@@ -134,7 +134,7 @@ class Study:
 
         Of each frame the best of some tries. W19 screens no stars, and neither does this.
         """
-        belief = Belief(TRUTH, np.linalg.cholesky(self.covariance).astype(float))
+        belief = CameraBelief(TRUTH, np.linalg.cholesky(self.covariance).astype(float))
         frames = [Stars(view.u_i, uv[0], np.full(len(uv[0]), self.sigma_px))
                   for view, uv in zip(self.sky.judge, self.judge_uv)
                   if len(view.uv) >= MIN_STARS][:_TIMED]

@@ -24,13 +24,13 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.filter.states import CALIBRATED, N_STATES
 from starcal_ros.results import export
 from starcal_ros.results.result import CalibrationError, dumps
-from starcal_ros.results.store import Archive
+from starcal_ros.results.store import CalibrationStore
 
 RESULT, CONFIG = 'result.json', 'config.yaml'
 
 
-class Start(NamedTuple):
-    """What a `Stream` begins with.
+class InitialValues(NamedTuple):
+    """What a `Calibrator` begins with.
 
     Attributes
     ----------
@@ -56,13 +56,13 @@ def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
             **export.files(result, scenario)}
 
 
-def start(scenario: Scenario, archive: Archive) -> Start:
+def initial_values(scenario: Scenario, archive: CalibrationStore) -> InitialValues:
     """Return what to begin with, as ``estimator.load_calibration`` says.
 
     A calibration that can not be used is passed over for the one before it, with a notice.
     """
     if not scenario.estimator.load_calibration:
-        return Start(scenario)
+        return InitialValues(scenario)
     notices: list[str] = []
     for folder in archive.folders():
         try:
@@ -72,10 +72,10 @@ def start(scenario: Scenario, archive: Archive) -> Start:
         else:
             return found._replace(notices=(*notices, f'beginning with the calibration {folder}'))
     notices.append(f'{archive.directory} has no calibration: beginning with the nominal values')
-    return Start(scenario, notices=tuple(notices))
+    return InitialValues(scenario, notices=tuple(notices))
 
 
-def load(folder: Path, scenario: Scenario) -> Start:
+def load(folder: Path, scenario: Scenario) -> InitialValues:
     """Read a saved calibration.
 
     Raises
@@ -97,7 +97,7 @@ def load(folder: Path, scenario: Scenario) -> Start:
     return found
 
 
-def _start(result: dict[str, Any], scenario: Scenario, source: str) -> Start:
+def _start(result: dict[str, Any], scenario: Scenario, source: str) -> InitialValues:
     u0, v0, f, *distortion = (result['intrinsics'][key] for key in INTRINSICS_KEYS)
     values = {key: value for key, value in scenario.flat().items()
               if not key.startswith('mounting.')}
@@ -105,7 +105,7 @@ def _start(result: dict[str, Any], scenario: Scenario, source: str) -> Start:
     if (covariance.shape != (N_STATES, N_STATES) or not np.isfinite(covariance).all()
             or (np.diagonal(covariance) <= 0.0).any()):
         raise ValueError('covariance: needs 16 x 16 finite numbers, variances above 0')
-    return Start(from_flat({
+    return InitialValues(from_flat({
         **values, 'camera.principal_point_px': [u0, v0], 'camera.focal_length_mm': f,
         'camera.distortion': distortion,
         'mounting.quaternion_xyzw': result['mounting']['quaternion_xyzw'],

@@ -19,7 +19,7 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter import augmentation
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
 from starcal_ros.recording.reader import Recording
 
@@ -28,17 +28,18 @@ class CalibrationError(ValueError):
     """The messages give no calibration; the text says why."""
 
 
-def converged(stream: Stream, belief: Belief) -> bool:
+def converged(calibrator: Calibrator, belief: Belief) -> bool:
     """Tell whether each calibrated sigma is inside its tolerance and the attitude is held."""
-    return bool((belief.sigma[CALIBRATED] <= stream.filter.tolerance).all()) and stream.tracking
+    known = (belief.sigma[CALIBRATED] <= calibrator.filter.tolerance).all()
+    return bool(known) and calibrator.tracking
 
 
-def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
+def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]:
     """Return RESULT.json as a dictionary.
 
     Parameters
     ----------
-    stream : Stream
+    calibrator : Calibrator
         After its last frame.
     provenance : dict
         Version, configuration hash, bag hash.
@@ -56,12 +57,12 @@ def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
     CalibrationError
         Where no frame has given an attitude.
     """
-    belief = stream.belief
+    belief = calibrator.belief
     if belief is None:
-        raise CalibrationError(no_attitude(stream))
+        raise CalibrationError(no_attitude(calibrator))
     estimate, sigma = belief.estimate, belief.sigma / UNIT
-    stamp_ns, C_gi = stream.attitude_now()
-    counts = stream.counts
+    stamp_ns, C_gi = calibrator.attitude_now()
+    counts = calibrator.counts
     values = {
         'intrinsics': _named(estimate.intrinsics),
         'intrinsics_sigma': _named(sigma[LENS]),
@@ -73,12 +74,12 @@ def result(stream: Stream, provenance: dict[str, str]) -> dict[str, Any]:
             'sigma_arcsec': sigma[PSI].tolist(),
         },
         'covariance': belief.covariance.tolist(),
-        'reprojection_rms_px': stream.reprojection_rms_px.tolist(),
+        'reprojection_rms_px': calibrator.reprojection_rms_px.tolist(),
         'attitude_final': {
             'stamp_ns': stamp_ns,
             'quaternion_xyzw': rotation.to_quaternion(C_gi.T).tolist(),
         },
-        'converged': converged(stream, belief),
+        'converged': converged(calibrator, belief),
         'counts': dataclasses.asdict(counts),
         'provenance': provenance,
     }
@@ -107,12 +108,13 @@ def provenance(scenario: Scenario, recording: Recording) -> dict[str, str]:
             'bag': str(recording.path), 'bag_sha256': recording.sha256}
 
 
-def no_attitude(stream: Stream) -> str:
+def no_attitude(calibrator: Calibrator) -> str:
     """Say why there is nothing to report."""
-    counts = stream.counts
+    counts = calibrator.counts
     return (f'no attitude from any frame: {counts.gyro} gyro readings, {counts.frames} frames '
             f'reached by them ({counts.empty_frames} without a usable star, '
-            f'{counts.unusable_stars} stars unusable), {stream.waiting} frames waiting for gyro')
+            f'{counts.unusable_stars} stars unusable), {calibrator.waiting} frames waiting for '
+            'gyro')
 
 
 def dumps(values: dict[str, Any]) -> str:

@@ -26,11 +26,11 @@ _UNDONE = '.undone'
 _TAKEN = (errno.EEXIST, errno.ENOTEMPTY)
 
 
-class ArchiveError(OSError):
+class StoreError(OSError):
     """A calibration can not be saved or undone; the message says why."""
 
 
-class Archive:
+class CalibrationStore:
     """The calibrations in one directory.
 
     Parameters
@@ -52,7 +52,7 @@ class Archive:
 
         Raises
         ------
-        ArchiveError
+        StoreError
             Where they can not be written.
         """
         try:
@@ -68,7 +68,7 @@ class Archive:
             folder = self._number(draft)
             self._point_at_latest()
         except OSError as error:
-            raise ArchiveError(f'{self.directory}: cannot be written: {error.strerror}') from None
+            raise StoreError(f'{self.directory}: cannot be written: {error.strerror}') from None
         return folder
 
     def undo(self) -> Path:
@@ -76,18 +76,18 @@ class Archive:
 
         Raises
         ------
-        ArchiveError
+        StoreError
             Where there is none, or it can not be renamed.
         """
         folders = self.folders()
         if not folders:
-            raise ArchiveError(f'{self.directory}: no saved calibration')
+            raise StoreError(f'{self.directory}: no saved calibration')
         aside = folders[0].with_name(folders[0].name + _UNDONE)
         try:
             folders[0].rename(aside)
             self._point_at_latest()
         except OSError as error:
-            raise ArchiveError(f'{folders[0]}: cannot be undone: {error.strerror}') from None
+            raise StoreError(f'{folders[0]}: cannot be undone: {error.strerror}') from None
         return aside
 
     def _folder(self, number: int) -> Path:

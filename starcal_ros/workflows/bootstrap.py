@@ -32,11 +32,11 @@ from starcal_ros.calibration.methods.bundle import Bundle
 from starcal_ros.config.models import detector, nominal_camera, observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import LENS
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identifier
-from starcal_ros.measurements.frame_rotations import turns as _turns
+from starcal_ros.measurements.frame_rotations import from_gyro as _turns
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import CalibrationError, no_attitude
 
@@ -73,7 +73,7 @@ class Chain:
         In order, the first what is known beforehand.
     frames : Frames
         Those of the second quarter and the second half, with the numbers found.
-    stream : Stream
+    calibrator : Calibrator
         The filter after the last frame.
     notices : tuple of str
         What a user should know.
@@ -81,7 +81,7 @@ class Chain:
 
     steps: tuple[Step, ...]
     frames: Frames
-    stream: Stream
+    calibrator: Calibrator
     notices: tuple[str, ...]
 
 
@@ -152,20 +152,20 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     distances = calibration.start(scenario.replace(_ANGLES), camera)
     camera = step('angular distances', distances, second, run(distances, second))
     on_progress(0.75)
-    stream = predicted_centroid.begin(scenario, camera)
-    stream.add_gyro(gyro)
-    stream.add_frames(numbered[len(second):])
-    for _ in stream.process():
+    calibrator = predicted_centroid.begin(scenario, camera)
+    calibrator.add_gyro(gyro)
+    calibrator.add_frames(numbered[len(second):])
+    for _ in calibrator.process():
         pass
-    belief = stream.belief
+    belief = calibrator.belief
     if belief is None:
-        raise CalibrationError(no_attitude(stream))
+        raise CalibrationError(no_attitude(calibrator))
     steps.append(Step('16 states', CameraEstimate(
-        belief.estimate.intrinsics, belief.covariance[LENS, LENS], stream.counts.frames,
-        stream.counts.stars)))
-    notices += [f'16 states: {text}' for text in stream.take_notices()]
+        belief.estimate.intrinsics, belief.covariance[LENS, LENS], calibrator.counts.frames,
+        calibrator.counts.stars)))
+    notices += [f'16 states: {text}' for text in calibrator.take_notices()]
     on_progress(1.0)
-    return Chain(tuple(steps), numbered, stream, tuple(notices))
+    return Chain(tuple(steps), numbered, calibrator, tuple(notices))
 
 
 def _agree(camera: CameraEstimate, better: CameraEstimate) -> bool:
@@ -198,9 +198,9 @@ def identify(gyro: GyroSamples, frames: Frames, camera: CameraEstimate, scenario
     """
     identifier = Identifier(CameraGuess(detector(scenario.camera), camera.intrinsics,
                                         camera.covariance), observer(scenario.observer))
-    turns = _turns(gyro, frames, scenario)
+    from_gyro = _turns(gyro, frames, scenario)
     catalog_id, flux = np.zeros_like(frames.catalog_id), 10.0**(-0.4 * frames.magnitude)
-    for k, (stamp_ns, turn) in enumerate(zip(frames.stamp_ns.tolist(), turns)):
+    for k, (stamp_ns, turn) in enumerate(zip(frames.stamp_ns.tolist(), from_gyro)):
         rows = slice(frames.first[k], frames.first[k + 1])
         found = identifier.identify(frames.uv_raster[rows], flux[rows], stamp_ns, turn,
                                     frames.sigma[rows])

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Spots, adjust
+from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Observations, adjust
 from starcal_ros.calibration.bundle_start import attitudes, identified
 from starcal_ros.config.models import nominal_camera, with_camera
 from starcal_ros.config.scenario import Scenario
@@ -24,7 +24,7 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.measurements.samples import Frames, GyroSamples, newer
 from starcal_ros.measurements.spot_tracker import SpotTracker
-from starcal_ros.measurements.star_directions import Places, unmeasured
+from starcal_ros.measurements.star_directions import StarDirections, unmeasured
 
 FRAMES = 400
 """Frames of spots without a name that are used, at most."""
@@ -38,9 +38,9 @@ def start(scenario: Scenario, known: CameraEstimate | None = None) -> Bundle:
 
 
 class _Start(NamedTuple):
-    """Spots, and where their adjustment begins."""
+    """Observations, and where their adjustment begins."""
 
-    spots: Spots
+    spots: Observations
     C_si: Array
     points: Array
 
@@ -67,7 +67,7 @@ class Bundle:
         self._scenario = with_camera(scenario, self._prior.intrinsics)
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._gate = float(chi2.ppf(scenario.estimator.gate_probability, 2))
-        self._places = Places(scenario)
+        self._directions = StarDirections(scenario)
         self._newest_ns = int(np.iinfo(np.int64).min)
         self._frames: list[Frames] = []
         self._gyro: list[GyroSamples] = []
@@ -110,12 +110,12 @@ class Bundle:
         self.misfit = adjusted.scale
         used = int(adjusted.used.sum())
         if used < len(adjusted.used):
-            self._notice('refused', f'{len(adjusted.used) - used} of {len(adjusted.used)} stars '
-                         'refused')
+            self._notice('rejected', f'{len(adjusted.used) - used} of {len(adjusted.used)} stars '
+                         'rejected')
         return CameraEstimate(adjusted.intrinsics, adjusted.covariance, len(adjusted.C_si), used)
 
     def _from_places(self, frames: Frames) -> _Start | None:
-        placed = self._places.of(frames)
+        placed = self._directions.of(frames)
         for key, text in placed.notices:
             self._notice(key, text)
         spots = identified(frames, placed)
@@ -146,12 +146,12 @@ class Bundle:
             use &= ~poor
         if not use.any():
             return None
-        uv, sigma, measured = self._places.centroids(frames)
+        uv, sigma, measured = self._directions.centroids(frames)
         for key, text in unmeasured(frames, sigma, measured):
             self._notice(key, text)
         kept, number = np.unique(frame[use], return_inverse=True)
         point = np.unique(followed.track[use], return_inverse=True)[1]
-        spots = Spots(number, uv[use], sigma[use], np.zeros((len(number), 3)), point)
+        spots = Observations(number, uv[use], sigma[use], np.zeros((len(number), 3)), point)
         r_s = camera.unproject(spots.uv, self._prior.intrinsics, self._pitch_mm)
         points = np.zeros((point.max() + 1, 3))
         np.add.at(points, point, (np.swapaxes(C_si[frame[use]], -1, -2) @ r_s[..., None])[..., 0])

@@ -26,7 +26,8 @@ from collections import deque
 
 import numpy as np
 
-from starcal_ros.calibration.interstar_solver import Fit, Frame, Window, followed, identified
+from starcal_ros.calibration.interstar_solver import (Frame, InterstarSolver, Window, followed,
+                                                      identified)
 from starcal_ros.config.models import detector, nominal_camera
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
@@ -36,7 +37,7 @@ from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.units import NS
 from starcal_ros.measurements.samples import Frames, GyroSamples, newer
 from starcal_ros.measurements.spot_tracker import SpotTracker
-from starcal_ros.measurements.star_directions import Places, unmeasured
+from starcal_ros.measurements.star_directions import StarDirections, unmeasured
 
 FRAMES, WINDOWS = 64, 400
 APART = 1.0 / 32.0
@@ -74,10 +75,11 @@ class Interstar:
         if not estimated:
             raise ConfigError('intrinsics.estimate: got nothing, needs one intrinsic at least')
         self._traditional = options.interstar_equations.startswith('T')
-        self._fit = Fit(size, nominal, estimated, options.interstar_equations.endswith('WC'))
+        self._fit = InterstarSolver(size, nominal, estimated,
+                                    options.interstar_equations.endswith('WC'))
         half_mm = 0.5 * np.hypot(size.width, size.height) * size.pitch_mm
         self._apart = APART * float(np.arctan(half_mm / nominal[2]))
-        self._places, self._tracker = Places(scenario), SpotTracker(scenario)
+        self._directions, self._tracker = StarDirections(scenario), SpotTracker(scenario)
         self._newest_ns = _NEVER_NS
         self._gyro = GyroSamples.empty()
         self._waiting: list[Frames] = []
@@ -141,7 +143,7 @@ class Interstar:
     # Coming in
 
     def _take_identified(self, frames: Frames) -> None:
-        stars, notices = self._places.of(frames)
+        stars, notices = self._directions.of(frames)
         self._notices.update(notices)
         usable = np.isfinite(stars.sigma)
         for low, high in zip(frames.first[:-1], frames.first[1:]):
@@ -178,7 +180,7 @@ class Interstar:
         if not len(frames):
             return
         followed = self._tracker.follow(frames, gyro)
-        uv, sigma, measured = self._places.centroids(frames)
+        uv, sigma, measured = self._directions.centroids(frames)
         self._notices.update(unmeasured(frames, sigma, measured))
         for k, turn in enumerate(followed.turn):
             if self._turn is not None:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """T18: all 16 states from predicted star centroids, the gyro carrying the attitude.
 
-The recording's messages go through the same `Stream` as in the live estimator.
+The recording's messages go through the same `Calibrator` as in the live estimator.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from starcal_ros.config.models import with_camera
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import CALIBRATED, LENS
 
@@ -22,14 +22,14 @@ def start(scenario: Scenario, known: CameraEstimate | None = None) -> PredictedC
     return PredictedCentroid(scenario, known)
 
 
-def begin(scenario: Scenario, known: CameraEstimate | None = None) -> Stream:
-    """Return a stream that has seen nothing, at what is known of the camera from other frames."""
+def begin(scenario: Scenario, known: CameraEstimate | None = None) -> Calibrator:
+    """Return a calibrator that has seen nothing, at what other frames tell of the camera."""
     if known is None:
-        return Stream(scenario)
+        return Calibrator(scenario)
     covariance = np.diag(Filter(scenario).initial_sigma[CALIBRATED]**2)
     lens = slice(LENS.start - CALIBRATED.start, None)
     covariance[lens, lens] = known.covariance
-    return Stream(with_camera(scenario, known.intrinsics), covariance)
+    return Calibrator(with_camera(scenario, known.intrinsics), covariance)
 
 
 class PredictedCentroid:
@@ -44,16 +44,16 @@ class PredictedCentroid:
     """
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
-        self._stream = begin(scenario, known)
-        self.add_gyro = self._stream.add_gyro
-        self.add_frames = self._stream.add_frames
-        self.take_notices = self._stream.take_notices
+        self._calibrator = begin(scenario, known)
+        self.add_gyro = self._calibrator.add_gyro
+        self.add_frames = self._calibrator.add_frames
+        self.take_notices = self._calibrator.take_notices
 
     def estimate(self) -> CameraEstimate | None:
         """Return the camera after the last frame that the gyro has reached."""
-        for _ in self._stream.process():
+        for _ in self._calibrator.process():
             pass
-        belief, counts = self._stream.belief, self._stream.counts
+        belief, counts = self._calibrator.belief, self._calibrator.counts
         if belief is None:
             return None
         return CameraEstimate(belief.estimate.intrinsics, belief.covariance[LENS, LENS],

@@ -15,8 +15,9 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.calibrator import FrameResult, Track
+from starcal_ros.filter.calibrator import FrameResult
 from starcal_ros.filter.states import EPSILON
 from starcal_ros.messages import conventions
 from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
@@ -39,7 +40,7 @@ def quaternion(C: Array) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
-def imus(track: Track, rate_covariance: Array) -> list[Imu]:
+def imus(track: AttitudeTrack, rate_covariance: Array) -> list[Imu]:
     """Return `starcal/imu`: orientation of gyro in icrf, its covariance about the axes of icrf.
 
     The covariance of the rate, (3, 3), is about the axes of gyro; there is no acceleration.

@@ -21,7 +21,7 @@ from starcal_ros.evaluation import consistency
 from starcal_ros.reproduction.outcome import Outcome
 
 
-class Study(Protocol):
+class Reproduction(Protocol):
     """What a module of this package is."""
 
     RUNS: int
@@ -40,9 +40,9 @@ def names() -> list[str]:
     return sorted(module.name.replace('_', '-') for module in pkgutil.iter_modules(__path__))
 
 
-def load(name: str) -> Study:
+def load(name: str) -> Reproduction:
     """Return the module that reproduces a table or figure."""
-    return cast(Study, import_module(f'{__name__}.{name.replace("-", "_")}'))
+    return cast(Reproduction, import_module(f'{__name__}.{name.replace("-", "_")}'))
 
 
 def chance(runs: int) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs
-from starcal_ros.evaluation.montecarlo import Study
+from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.reproduction.outcome import Outcome
 
@@ -44,7 +44,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     cases: dict[str, dict[str, Any]] = {'none': {}, **SOURCES}
     ends: list[Runs] = []
     for k, settings in enumerate(cases.values()):
-        study = Study(scenario.replace(settings), runs)
+        study = MonteCarlo(scenario.replace(settings), runs)
         ends += montecarlo.run(study, work)
         on_progress((k + 1) / len(cases))
     reference = ends[0].error[:, -1]

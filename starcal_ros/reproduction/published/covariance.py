@@ -11,7 +11,7 @@ import numpy as np
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import consistency, montecarlo
-from starcal_ros.evaluation.montecarlo import Study
+from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import NOT_STATED, chance
@@ -23,7 +23,7 @@ COLUMNS = ('state', 'unit', 'RMS', 'bound', 'ratio', 'stated sigma')
 def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Run the scenario many times and hold the errors to the bound and to the covariance."""
-    study = Study(scenario, runs)
+    study = MonteCarlo(scenario, runs)
     results, = montecarlo.run(study, work, on_progress=on_progress)
     summary = montecarlo.summarize(scenario, results)
     rows = tuple((name, state['unit'], state['rms'], state['bound'], state['ratio'],

@@ -12,7 +12,7 @@ import numpy as np
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import bounds, montecarlo
-from starcal_ros.evaluation.montecarlo import Study
+from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import BESIDE, NOT_STATED, chance, table4
@@ -29,7 +29,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     """Run the long study and take the errors after each fifth of it."""
     duration_s = LONGER * scenario.simulation.duration_s
     scenario = scenario.replace({table4.KEY: SIGMA_PX, 'simulation.duration_s': duration_s})
-    results, = montecarlo.run(Study(scenario, runs), work, on_progress=on_progress)
+    results, = montecarlo.run(MonteCarlo(scenario, runs), work, on_progress=on_progress)
     time, period = results.time[0], 1.0 / scenario.star_tracker.rate_hz
     hours: Array = np.arange(1, HOURS + 1).astype(np.float64) * (duration_s / HOURS / 3600.0)
     taken = np.argmin(abs(time - (3600.0 * hours - period)[:, None]), axis=1)

@@ -18,7 +18,7 @@ from scipy.stats import norm
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter import offline
 from starcal_ros.filter.belief import Nominal
-from starcal_ros.filter.calibrator import Stream
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.measurements.samples import Frames
@@ -53,14 +53,14 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
         assert found is not None        # the reference method knows these images
         made = scenario_of(found, scenario)
         gyro = sensors.gyro(made)
-        stream, history = offline.calibrate(
+        calibrator, history = offline.calibrate(
             gyro.next(gyro.count), frames_of(found, made), made)
-        rows += [(images.name, *row) for row in _rows(stream, made)]
-        values[images.name] = {'reprojection_rms_px': stream.reprojection_rms_px.tolist(),
+        rows += [(images.name, *row) for row in _rows(calibrator, made)]
+        values[images.name] = {'reprojection_rms_px': calibrator.reprojection_rms_px.tolist(),
                                'paper_px': list(_PAPER_PX), 'centroid_sigma_px': found.sigma_px}
         rows += [(images.name, f'reprojection {axis}', 'px', rms, found.sigma_px,
                   rms / found.sigma_px)
-                 for axis, rms in zip('uv', stream.reprojection_rms_px.tolist())]
+                 for axis, rms in zip('uv', calibrator.reprojection_rms_px.tolist())]
         panels += _histograms(images.name, history)
         on_progress((k + 1) / len(real_images.SETS))
     return Outcome('Half real: real cameras, simulated motion', COLUMNS, tuple(rows), NOTES,
@@ -97,11 +97,11 @@ def frames_of(found: StillImageCamera, made: Scenario) -> Frames:
                    + pool[rng.integers(len(pool), size=len(frames.uv_raster))])
 
 
-def _rows(stream: Stream, made: Scenario) -> list[tuple[str | float, ...]]:
-    belief = stream.belief
+def _rows(calibrator: Calibrator, made: Scenario) -> list[tuple[str | float, ...]]:
+    belief = calibrator.belief
     assert belief is not None
     truth = Truth.from_scenario(made)
-    C_gi = truth.motion.attitude(np.array([stream.stamp_ns]))[0].T
+    C_gi = truth.motion.attitude(np.array([calibrator.stamp_ns]))[0].T
     error = belief.estimate.minus(Nominal(C_gi, truth.bias, truth.C_sg, truth.intrinsics))
     return list(zip(STATE_NAMES[CALIBRATED], STATE_UNITS[CALIBRATED],
                     (error / UNIT)[CALIBRATED].tolist(),

@@ -25,7 +25,7 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG_PER_HOUR
 from starcal_ros.evaluation import consistency, montecarlo
 from starcal_ros.evaluation.batch import Runs
-from starcal_ros.evaluation.montecarlo import Study
+from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import table3
@@ -48,7 +48,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
                   for name, part in PARTS.items()})
     ends: dict[str, Runs] = {}
     for name, case in cases.items():
-        ends[name], = montecarlo.run(Study(case, runs), work)
+        ends[name], = montecarlo.run(MonteCarlo(case, runs), work)
         on_progress(len(ends) / len(cases))
     rms = np.stack([np.sqrt(np.mean((end.error / end.sigma)[:, -1]**2, axis=0))
                     for end in ends.values()])

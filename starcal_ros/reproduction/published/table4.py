@@ -10,7 +10,7 @@ from typing import Any
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import consistency, montecarlo
-from starcal_ros.evaluation.montecarlo import Study
+from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS
 from starcal_ros.reproduction.outcome import Outcome
 from starcal_ros.reproduction.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED, chance
@@ -41,12 +41,12 @@ NOISELESS = (
 def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Run the study of Table 4."""
-    return swept(f'T18 Table 4, RMS of {runs} runs', Study(scenario, runs, KEY, VALUES), PAPER,
-                 (NOT_STATED, BIAS_BELOW_BOUND, NOISELESS), work, on_progress)
+    return swept(f'T18 Table 4, RMS of {runs} runs', MonteCarlo(scenario, runs, KEY, VALUES),
+                 PAPER, (NOT_STATED, BIAS_BELOW_BOUND, NOISELESS), work, on_progress)
 
 
-def swept(title: str, study: Study, paper: Mapping[str, tuple[float, ...]], notes: tuple[str, ...],
-          work: Path, on_progress: Callable[[float], None]) -> Outcome:
+def swept(title: str, study: MonteCarlo, paper: Mapping[str, tuple[float, ...]],
+          notes: tuple[str, ...], work: Path, on_progress: Callable[[float], None]) -> Outcome:
     """Run a study and put its numbers beside those of a paper, given by state."""
     results = montecarlo.run(study, work, on_progress=on_progress)
     points = [montecarlo.summarize(study.at(value), runs)
@@ -61,7 +61,7 @@ def swept(title: str, study: Study, paper: Mapping[str, tuple[float, ...]], note
                    (*notes, _below(study, points, paper), chance(study.runs), _consistent(points)))
 
 
-def _below(study: Study, points: Sequence[Mapping[str, Any]],
+def _below(study: MonteCarlo, points: Sequence[Mapping[str, Any]],
            paper: Mapping[str, tuple[float, ...]]) -> str:
     """Say where a paper's RMS is below the bound by more than the chance of its runs."""
     least = consistency.rms_interval(RUNS, 0.999).low

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.evaluation.montecarlo import Study
+from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.reproduction.outcome import Outcome
 from starcal_ros.reproduction.published import NOT_STATED
 from starcal_ros.reproduction.published.table4 import swept
@@ -39,6 +39,6 @@ HEADING = ('The text of T18 Sec. 3.3 names the noise levels 0, 0.0001, 0.001 and
 def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Run the study of Table 5."""
-    study = Study(scenario.replace({'truth.gyro.bias_deg_h': BIAS_DEG_H}), runs, KEY, VALUES)
+    study = MonteCarlo(scenario.replace({'truth.gyro.bias_deg_h': BIAS_DEG_H}), runs, KEY, VALUES)
     return swept(f'T18 Table 5, RMS of {runs} runs', study, PAPER, (NOT_STATED, HEADING), work,
                  on_progress)

@@ -12,12 +12,12 @@ import numpy as np
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.reproduction import wu2019
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
-from starcal_ros.reproduction.wu2019 import View
+from starcal_ros.reproduction.wu2019 import PerfectFrame
 
 RUNS = 100
 """Frames."""
 
-NUMBERINGS: Mapping[str, Callable[[View], Sequence[int]]] = {
+NUMBERINGS: Mapping[str, Callable[[PerfectFrame], Sequence[int]]] = {
     'Hipparcos number': lambda view: range(len(view.uv)),
     'from the middle outwards': lambda view: np.argsort(np.linalg.norm(
         view.uv - wu2019.DETECTOR.centre_raster, axis=-1)).tolist(),
@@ -36,7 +36,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     frames = wu2019.rich_views(scenario, runs)
     panels, rows = [], []
     for k, (name, order) in enumerate(NUMBERINGS.items()):
-        numbered = [View(view.u_i[order(view)], view.uv[order(view)]) for view in frames]
+        numbered = [PerfectFrame(view.u_i[order(view)], view.uv[order(view)]) for view in frames]
         msv = np.array([[wu2019.least_observable(view, model, (1, 2, 3)) for view in numbered]
                         for model in range(1, 5)])
         best = np.bincount(np.argmax(msv, axis=0), minlength=4) / len(frames)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from starcal_ros.calibration.attitude_free import Belief
+from starcal_ros.calibration.attitude_free import CameraBelief
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.reproduction import wu2019
@@ -41,7 +41,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     for k, (method, weighting) in enumerate(labels):
         history: list[Array] = []
 
-        def note(belief: Belief) -> None:
+        def note(belief: CameraBelief) -> None:
             history.append(belief.parameters)
 
         wu2019.calibrate(study.sky.calibrate, study.calibrate_uv, study.sigma_px,

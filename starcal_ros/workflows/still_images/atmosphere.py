@@ -18,7 +18,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.measurements.samples import Frames
-from starcal_ros.measurements.star_directions import Places
+from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import LOWEST_DEG, Site, altitude, refracted
 
 
@@ -41,7 +41,7 @@ def without_air(measured: Frames, freed: Frames, C_si: Array, intrinsics: Array,
     site : Site
         Where the images were taken.
     """
-    placed = Places(scenario).of(freed)
+    placed = StarDirections(scenario).of(freed)
     usable = bundle_start.usable(freed, placed)
     frame = np.repeat(np.arange(len(freed)), freed.star_counts)[usable]
     u_i = placed.stars.u_i[usable]
@@ -56,8 +56,8 @@ def without_air(measured: Frames, freed: Frames, C_si: Array, intrinsics: Array,
     return replace(measured, uv_raster=uv)
 
 
-def numbers_in_the_air(frames: Frames, scenario: Scenario, site: Site
-                       ) -> tuple[Frames, Mask, int]:
+def without_low_stars(frames: Frames, scenario: Scenario, site: Site
+                      ) -> tuple[Frames, Mask, int]:
     """Take the numbers from stars that are too low to know their refraction.
 
     Returns
@@ -69,7 +69,7 @@ def numbers_in_the_air(frames: Frames, scenario: Scenario, site: Site
     low : int
         Stars whose number was taken.
     """
-    stars = Places(scenario).of(frames).stars
+    stars = StarDirections(scenario).of(frames).stars
     frame = np.repeat(np.arange(len(frames)), frames.star_counts)
     known = np.isfinite(stars.sigma)
     height = np.full(len(frame), np.inf)

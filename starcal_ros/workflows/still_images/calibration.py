@@ -23,12 +23,12 @@ from scipy.stats import chi2
 
 from starcal_ros import calibration
 from starcal_ros.calibration import bundle_adjustment, bundle_start
-from starcal_ros.calibration.bundle_adjustment import Adjusted, Spots
+from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.core import camera
 from starcal_ros.core.camera_estimate import CameraEstimate
-from starcal_ros.measurements.star_directions import Places
+from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images.atmosphere import without_air
 from starcal_ros.workflows.still_images.opencv_camera import KEYS, from_estimate
@@ -49,14 +49,14 @@ class Refit(NamedTuple):
     ----------
     names : tuple of str
         Images.
-    spots : Spots
+    spots : Observations
         Their stars.
     adjusted : Adjusted
         With the residuals.
     """
 
     names: tuple[str, ...]
-    spots: Spots
+    spots: Observations
     adjusted: Adjusted
 
     @property
@@ -97,7 +97,7 @@ class StillImageCamera:
             'centroid_sigma_px': self.sigma_px, 'fit_rms_px': self.fit.rms_px,
             'heldout_rms_px': self.heldout.rms_px if self.heldout else None,
             'counts': {'images': self.estimate.frames, 'stars': self.estimate.stars,
-                       'refused_stars': int((~self.fit.adjusted.used).sum()),
+                       'rejected_stars': int((~self.fit.adjusted.used).sum()),
                        'heldout_stars': (int(self.heldout.adjusted.used.sum())
                                          if self.heldout else 0)}}
 
@@ -136,7 +136,7 @@ def focal_length_px(images: StillImages, width: int, height: int) -> float:
     the median over the pairs of neighbours in the tables cares for no wrong star.
     """
     frames = images.frames
-    placed = Places(scenario_of(width, height, width, 'bundle')).of(frames)
+    placed = StarDirections(scenario_of(width, height, width, 'bundle')).of(frames)
     frame = np.repeat(np.arange(len(frames)), frames.star_counts)
     known = np.isfinite(placed.stars.sigma)
     frame, uv, u_i = frame[known], frames.uv_raster[known], placed.stars.u_i[known]
@@ -197,7 +197,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
 def refit(images: StillImages, estimate: CameraEstimate, scenario: Scenario) -> Refit | None:
     """Fit the attitudes alone, the camera held; None where no image has stars enough."""
     frames = images.frames
-    placed = Places(scenario).of(frames)
+    placed = StarDirections(scenario).of(frames)
     spots = bundle_start.identified(frames, placed)
     if not len(spots.frame):
         return None
