@@ -32,10 +32,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from starcal_ros.core import camera, rotation
+from starcal_ros.core import camera, robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.core.camera import INTRINSICS_SCALE
 from starcal_ros.core.units import ARCSEC
-from starcal_ros.filter.states import LENS, SCALE
 
 MIN_STARS = 2
 """Observations that a frame must have: two fix its attitude."""
@@ -44,7 +44,7 @@ _ITERATIONS = 50
 _CONVERGED = 1e-3       # of a sigma; the error left is the square of that
 _HALVINGS = 8
 _BEHIND_PX = 1e6        # residual of a star that the camera can not see: no weight is left
-_MEDIAN = 1.1774        # of the length of a normal vector in the plane, sigma 1 each axis
+_WIDTH = 3.0            # of the robust weight
 _PINNED = 1e-3 * ARCSEC     # sigma of an attitude that is held
 
 
@@ -126,8 +126,8 @@ def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, p
     problem = _Problem(spots, intrinsics, pitch_mm, prior_covariance)
     state = _State(intrinsics, C_si, points)
     used: Mask = np.ones(len(spots.frame), bool)
-    for robust in (True, False):
-        state, scale = _settle(problem, state, used, robust)
+    for resisting in (True, False):
+        state, scale = _settle(problem, state, used, resisting)
         residual = problem.residual(state)
         length = np.linalg.norm(residual, axis=-1) / spots.sigma
         used = _enough(spots.frame, length**2 <= gate * scale**2)
@@ -142,17 +142,17 @@ class _State(NamedTuple):
     points: Array
 
 
-def _settle(problem: _Problem, state: _State, used: Mask, robust: bool) -> tuple[_State, float]:
+def _settle(problem: _Problem, state: _State, used: Mask, resisting: bool) -> tuple[_State, float]:
     """Iterate to the minimum; return it and the scale of the residuals."""
     sigma = problem.spots.sigma
     residual = problem.residual(state)
     scale = 1.0
     for _ in range(_ITERATIONS):
         length = np.linalg.norm(residual, axis=-1) / sigma
-        scale = max(float(np.median(length[used])) / _MEDIAN, 1e-9)
+        scale = max(robust.scale_of(length[used]), 1e-9)
         weight = np.where(used, 1.0 / sigma, 0.0)
-        if robust:
-            weight = weight / (1.0 + (length / (3.0 * scale))**2)
+        if resisting:
+            weight = weight / robust.sigma_factor(length, scale, _WIDTH)
         normal = problem.normal(state, weight, residual)
         step = normal.solve()
         cost = _cost(residual, weight, problem, state)
@@ -194,7 +194,7 @@ class _Problem:
                  prior_covariance: Array) -> None:
         self.spots, self.mean, self.pitch_mm = spots, mean, pitch_mm
         self.free = np.diag(prior_covariance) > 0.0
-        self.scale = SCALE[LENS][self.free]
+        self.scale = INTRINSICS_SCALE[self.free]
         block = prior_covariance[np.ix_(self.free, self.free)] / np.outer(self.scale, self.scale)
         self.prior = np.linalg.inv(np.linalg.cholesky(block))       # a root of the information
         self.first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
@@ -337,12 +337,12 @@ class _Normal:
             a = a - (self._ad @ d).reshape(-1, 3)
         attitude = np.linalg.solve(np.swapaxes(self._L, -1, -2), a[..., None])[..., 0]
         step = np.zeros(7)
-        step[self._free] = c * SCALE[LENS][self._free]
+        step[self._free] = c * INTRINSICS_SCALE[self._free]
         return _Step(step, attitude, d.reshape(-1, 2))
 
     def camera_covariance(self) -> Array:
         """Return the covariance of the intrinsics, (7, 7)."""
-        scale = SCALE[LENS][self._free]
+        scale = INTRINSICS_SCALE[self._free]
         covariance = np.zeros((7, 7))
         covariance[np.ix_(self._free, self._free)] = np.linalg.inv(self._S) * np.outer(
             scale, scale)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.calibration import interstar_equations as interstar
+from starcal_ros.core import robust
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.camera import Detector
 
@@ -37,7 +38,6 @@ MISFIT = 8.0
 
 _STEPS, _PASSES = 20, 8
 _SOME = 16              # windows from which the camera is found for a start
-_RAYLEIGH = 1.1774      # median of the length of a normal vector in two dimensions
 
 
 class Sums(NamedTuple):
@@ -123,8 +123,8 @@ class Window:
         """Take the spots that do not fit out, of each frame the worst and those half as bad."""
         misfit = np.linalg.norm(interstar.misfit(look(self.uv), self.cosines, self.seen), axis=-1)
         misfit = np.where(self.seen, misfit / self.sigma, 0.0)
-        most = np.median(misfit[self.seen]) / _RAYLEIGH if self.seen.any() else 0.0
-        bad = ((misfit > MISFIT * max(1.0, float(most)))
+        most = robust.scale_of(misfit[self.seen]) if self.seen.any() else 0.0
+        bad = ((misfit > MISFIT * max(1.0, most))
                & (misfit >= 0.5 * misfit.max(axis=-1, keepdims=True)))
         self.screened = not bad.any()
         if bad.any():

@@ -7,7 +7,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.stats import chi2
 
+from starcal_ros.config.estimator import EstimatorConfig, ProcessNoiseConfig, SigmaConfig
 from starcal_ros.config.instrument import CameraConfig, MountingConfig, ObserverConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.truth import TrueCameraConfig, TrueObserverConfig
@@ -16,6 +18,8 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.sky.apparent import Observer
+
+_KINDS = (3, 3, 2, 1, 1, 1, 1, 1)       # calibrated states of each kind that a SigmaConfig has
 
 
 def detector(camera: CameraConfig) -> Detector:
@@ -56,10 +60,7 @@ def nominal_camera(scenario: Scenario, known: CameraEstimate | None = None) -> C
     does not list are taken for certain.
     """
     if known is None:
-        sigma = scenario.estimator.initial_sigma
-        covariance = np.diag(np.square([
-            sigma.principal_point_px, sigma.principal_point_px, sigma.focal_length_mm, sigma.k1,
-            sigma.k2, sigma.p1, sigma.p2]))
+        covariance = np.diag(of_intrinsics(scenario.estimator.initial_sigma)**2)
         known = CameraEstimate(intrinsics(scenario.camera), covariance, 0, 0)
     free = np.isin(INTRINSICS, scenario.intrinsics.estimate)
     covariance = np.where(np.outer(free, free), known.covariance, 0.0)
@@ -71,3 +72,18 @@ def with_camera(scenario: Scenario, values: Array) -> Scenario:
     u0, v0, f, *distortion = values.tolist()
     return scenario.replace({'camera.principal_point_px': (u0, v0), 'camera.focal_length_mm': f,
                              'camera.distortion': tuple(distortion)})
+
+
+def of_intrinsics(config: SigmaConfig | ProcessNoiseConfig) -> Array:
+    """Return what is stated for the intrinsics, (7,), in their units (and per root hour)."""
+    return of_calibrated(config)[6:]
+
+
+def of_calibrated(config: SigmaConfig | ProcessNoiseConfig) -> Array:
+    """Return what is stated for the 13 calibrated states, in human units (and per root hour)."""
+    return np.repeat(dataclasses.astuple(config), _KINDS)
+
+
+def star_gate(estimator: EstimatorConfig) -> float:
+    """Return the chi-square, two degrees of freedom, up to which a star passes the gate."""
+    return float(chi2.ppf(estimator.gate_probability, 2))

@@ -31,6 +31,8 @@ from starcal_ros.core.arrays import Array, Mask
 INTRINSICS = ('u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
 INTRINSICS_KEYS = ('u0_px', 'v0_px', 'f_mm', 'k1', 'k2', 'p1', 'p2')
 """Their names in files."""
+INTRINSICS_SCALE = np.array([0.1, 0.1, 1e-4, 1e-6, 1e-8, 1e-6, 1e-6])
+"""What arithmetic divides them by, so that it meets numbers of like size."""
 
 _STEPS = 6              # of Newton's method, at most
 _LAST_STEP = 1e-7       # of the focal length

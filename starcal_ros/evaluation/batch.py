@@ -215,7 +215,7 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
             row = stars.rows(part.catalog_id)
             u_i = apparent_places(stars, np.maximum(row, 0), part.stamp_ns, part.star_counts,
                                   observer(scenario.observer))
-        k = np.repeat(np.arange(len(part)), part.star_counts)
+        k = part.frame_index
         rank = np.arange(len(k)) - part.first[k]
         padded.u_i[run, k, rank] = u_i
         padded.uv[run, k, rank] = part.uv_raster - filter_.detector.centre_raster
@@ -226,7 +226,7 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
 
 def _acquired(filter_: Filter, frame: Stars) -> tuple[Belief, Stars]:
     """Find the attitude of each run and stack the beliefs."""
-    found = [acquire(filter_, None, Stars(*(part[run] for part in frame)))
+    found = [acquire(filter_, None, frame.take(run))
              for run in range(len(frame.sigma))]
     nominal = Nominal(*(np.stack([getattr(belief.nominal, field.name) for belief, _ in found])
                         for field in fields(Nominal)))

@@ -31,7 +31,7 @@ from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, N_STATES, PHI, SCALE
+from starcal_ros.filter.states import CALIBRATED, EPSILON, N_STATES, PHI, SCALE
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import SIGMA_PX
 from starcal_ros.simulation import sensors
@@ -108,7 +108,7 @@ def cramer_rao(filter_: Filter, truth: Truth, frames: Frames, u_i: Array, ends: 
 def _information(truth: Truth, frames: Frames, u_i: Array) -> Array:
     """Return what the stars of each frame say of its phi and the constants, (n, 16, 16)."""
     C_si = truth.attitude_si(frames.stamp_ns)
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+    frame = frames.frame_index
     r_s = (C_si[frame] @ u_i[..., None])[..., 0]
     H_s, H_lens = _slopes(r_s, truth)
     A = np.concatenate((H_s @ C_si[frame], np.zeros_like(H_s), H_s, H_lens), axis=-1) * SCALE
@@ -173,7 +173,7 @@ def _slopes(r_s: Array, truth: Truth) -> tuple[Array, Array]:
         for axis in np.eye(3)], axis=-1)
     H_lens = np.stack([
         (project(r_s, lens + step) - project(r_s, lens - step)) / (2.0 * step.sum())
-        for step in np.diag(SCALE[LENS])], axis=-1)
+        for step in np.diag(camera.INTRINSICS_SCALE)], axis=-1)
     return H_s, H_lens
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from starcal_ros.core import camera
+from starcal_ros.core import camera, robust
 from starcal_ros.core.arrays import Mask
 from starcal_ros.core.consensus import consensus
 from starcal_ros.filter.belief import Belief
@@ -33,6 +33,7 @@ MIN_STARS = 3
 
 _ITERATIONS = 10
 _ROBUST_ITERATIONS = 30
+_WIDTH = 2.0            # of the robust weight: twice what most miss by halves it twice
 _CONVERGED = 0.01       # step, in units of the filter's scale, below which Gauss-Newton stops
 
 
@@ -94,17 +95,17 @@ def _require(agreeing: int, usable: int) -> None:
 
 
 def _resist(filter_: Filter, start: Belief, stars: Stars, trusted: Mask) -> Mask:
-    """Fit with weights that let go of what misses by more than most; return what is then near.
+    """Fit with weights that resist what misses by more than most; return what is then near.
 
-    Geman and McClure's weight, 1 / (1 + x^2)^2 for a miss of x = miss / (2 scale), the scale the
-    median miss: wrong stars that are not far off would pull the plain fit to them.
+    The scale of the weights (`core.robust`) is the median miss: wrong stars that are not far off
+    would pull the plain fit to them.
     """
     belief, scale = start, stars.sigma
     for _ in range(_ROBUST_ITERATIONS):
         uv, _, _ = filter_.predict_centroids(belief.nominal, stars.u_i)
         miss = np.linalg.norm(uv - stars.uv, axis=-1)
-        scale = np.maximum(np.median(miss[trusted]) / 1.1774, stars.sigma)  # Rayleigh's median
-        sigma = np.where(trusted, scale * (1.0 + (0.5 * miss / scale)**2), np.inf)
+        scale = np.maximum(robust.scale_of(miss[trusted]), stars.sigma)
+        sigma = np.where(trusted, scale * robust.sigma_factor(miss, scale, _WIDTH), np.inf)
         update = filter_.update(belief, stars._replace(sigma=sigma), gated=False)
         fitted = update.belief.estimate
         step = fitted.minus(belief.nominal)

@@ -47,18 +47,17 @@ size. Every function takes leading batch axes.
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
-from starcal_ros.config.estimator import ProcessNoiseConfig, SigmaConfig
-from starcal_ros.config.models import detector, intrinsics, mounting_matrix
+from starcal_ros.config.models import (detector, intrinsics, mounting_matrix, of_calibrated,
+                                       star_gate)
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, kalman, rotation
 from starcal_ros.core.arrays import Array, Mask
-from starcal_ros.core.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
+from starcal_ros.core.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, SQRT_HOUR
 from starcal_ros.filter import augmentation, process_noise
 from starcal_ros.filter.belief import SCALES, Belief, Nominal
 from starcal_ros.filter.states import (CALIBRATED, EPSILON, LENS, MATRIX, N_STATES, PSI, SCALE,
@@ -68,7 +67,6 @@ from starcal_ros.measurements.samples import Stars
 
 _FIELD = 1.5            # a star may be predicted this far out, in half diagonals
 _RESCALE = SCALES / SCALES[:, None]
-_KINDS = (3, 3, 2, 1, 1, 1, 1, 1)       # calibrated states of each kind that a SigmaConfig has
 
 SIGMA_ACQUIRED = 1.0 * DEG
 """Attitude sigma given to a first fix: wide against its error, so that the frame's own update,
@@ -115,16 +113,17 @@ class Filter:
         self.detector = detector(scenario.camera)
         self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
         self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
-        self.gate = float(chi2.ppf(options.gate_probability, 2))
+        self.gate = star_gate(options)
         self.feedback = options.feedback
         augmented = augmentation.initial_sigma(options.augment)
         self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
                              mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
                              np.zeros_like(augmented))
         self.initial_sigma = np.concatenate((
-            np.full(3, SIGMA_ACQUIRED), _vector(options.initial_sigma), augmented))
-        self.tolerance = _vector(options.tolerance)
-        self.density = _vector(options.process_noise) / 60.0        # of the walks, per sqrt(s)
+            np.full(3, SIGMA_ACQUIRED), of_calibrated(options.initial_sigma) * UNIT[CALIBRATED],
+            augmented))
+        self.tolerance = of_calibrated(options.tolerance) * UNIT[CALIBRATED]
+        self.density = of_calibrated(options.process_noise) * UNIT[CALIBRATED] / SQRT_HOUR
         self.has_matrix = augmentation.has_matrix(len(augmented))
         self.scale = SCALES[:len(self.initial_sigma)]
         self._start_root = np.diag(self.initial_sigma / self.scale)
@@ -255,8 +254,3 @@ class Filter:
 def _apply(H: Array, x: Array) -> Array:
     """Return H x, (..., n, 2), of H (..., n, 2, k) and x (..., k)."""
     return (H @ x[..., None, :, None])[..., 0]
-
-
-def _vector(config: SigmaConfig | ProcessNoiseConfig) -> Array:
-    """Return the numbers for the 13 calibrated states, in the filter's units."""
-    return np.repeat(astuple(config), _KINDS) * UNIT[CALIBRATED]

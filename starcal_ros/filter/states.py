@@ -20,5 +20,5 @@ STATE_UNITS = (*('arcsec',) * 3, *('deg/h',) * 3, *('arcsec',) * 3, 'px', 'px', 
                'mm^-4', 'mm^-1', 'mm^-1')
 UNIT = np.array([*(ARCSEC,) * 3, *(DEG_PER_HOUR,) * 3, *(ARCSEC,) * 3, *(1.0,) * 7])
 """One human unit (STATE_UNITS) of each state, in the unit that the filter counts in."""
-SCALE = np.array([*(1e-5,) * 3, *(1e-8,) * 3, *(1e-5,) * 3, 0.1, 0.1, 1e-4, 1e-6, 1e-8, 1e-6,
-                  1e-6])
+SCALE = np.array([*(1e-5,) * 3, *(1e-8,) * 3, *(1e-5,) * 3, *camera.INTRINSICS_SCALE])
+"""What the filter divides each state by, so that its roots hold numbers of like size."""

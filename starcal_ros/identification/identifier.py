@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core import camera, kalman, robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.identification import patterns
 from starcal_ros.identification.camera_guess import CameraGuess
-from starcal_ros.identification.matching import (RAYLEIGH_MEDIAN, Expected, View, chance, expected,
-                                                 fitted, match)
+from starcal_ros.identification.matching import Expected, View, chance, expected, fitted, match
 from starcal_ros.identification.star_field import StarField
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.catalog import SHIPPED_LIMIT
@@ -235,7 +234,7 @@ class Identifier:
                 return None
             view = fitted(prior, field.u_i[star], spots.uv[spot], noise[spot], detector.pitch_mm)
             residual = spots.uv[spot] - expected(view, field.u_i[star], detector.pitch_mm).uv
-            unexplained = float(np.median(np.linalg.norm(residual, axis=-1))) / RAYLEIGH_MEDIAN
+            unexplained = robust.scale_of(np.linalg.norm(residual, axis=-1))
             if unexplained > 0.9 * sigma or sigma == MODEL_SIGMA_PX and len(spot) == matched:
                 break
             sigma, matched = float(np.clip(unexplained, MODEL_SIGMA_PX, sigma)), len(spot)

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2, poisson
 
-from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core import camera, kalman, robust, rotation
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 
@@ -34,10 +34,8 @@ Rows = Ints
 GATE = float(chi2.ppf(0.999, 2))
 """Chi-square of two degrees of freedom that one image of a star in a thousand exceeds."""
 
-RAYLEIGH_MEDIAN = 1.1774
-"""Median length of a miss whose axes have sigma 1."""
-
 _ITERATIONS = 5
+_WIDTH = 3.0            # of the robust weight
 
 
 class View(NamedTuple):
@@ -62,8 +60,8 @@ class View(NamedTuple):
                camera_covariance: Array) -> View:
         """Return the view with independent errors of attitude (3, 3) and camera (7, 7)."""
         root = np.zeros((10, 10))
-        root[:3, :3] = _root(attitude_covariance)
-        root[3:, 3:] = _root(camera_covariance)
+        root[:3, :3] = kalman.root_of(attitude_covariance)
+        root[3:, 3:] = kalman.root_of(camera_covariance)
         return cls(C_si, intrinsics, root)
 
     def moved(self, error: Array) -> View:
@@ -75,12 +73,6 @@ class View(NamedTuple):
         """Return the difference of two views as an error (10,)."""
         return np.concatenate((rotation.log(self.C_si @ other.C_si.T),
                                self.intrinsics - other.intrinsics))
-
-
-def _root(covariance: Array) -> Array:
-    """Return a root of a covariance, which may be singular: intrinsics that are known."""
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 class Expected(NamedTuple):
@@ -143,11 +135,10 @@ def fitted(prior: View, u_i: Array, uv: Array, sigma: Array, pitch_mm: float) ->
     for _ in range(_ITERATIONS):
         stars, deviation = expected(view, u_i, pitch_mm), view.minus(prior)
         miss = np.linalg.norm(stars.uv - uv, axis=-1)
-        scale = np.maximum(np.median(miss) / RAYLEIGH_MEDIAN, sigma)
-        # Geman and McClure's weight: it lets go of what misses by more than most.
+        scale = np.maximum(robust.scale_of(miss), sigma)
         innovation = kalman.innovate(prior.root, stars.H,
                                      stars.uv - uv - stars.H @ deviation,
-                                     sigma * (1.0 + (miss / (3.0 * scale))**2))
+                                     sigma * robust.sigma_factor(miss, scale, _WIDTH))
         error, root, _ = kalman.correct(prior.root, innovation, np.ones(len(uv), bool))
         view = prior.moved(error)._replace(root=root)
     return view

@@ -13,8 +13,9 @@ from starcal_ros.config.models import intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera import INTRINSICS_SCALE
 from starcal_ros.evaluation import bounds
-from starcal_ros.filter.states import LENS, SCALE
+from starcal_ros.filter.states import LENS
 from starcal_ros.reproduction import traces
 from starcal_ros.reproduction.outcome import Field, Outcome, Panel
 from starcal_ros.reproduction.published import BESIDE, NOT_STATED, chance
@@ -42,8 +43,8 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
         return camera.distortion(place, lens, pitch_mm) - camera.distortion(place, true, pitch_mm)
 
     before, after = wrong(intrinsics(scenario.camera)), wrong(true + error)
-    step = np.diag(SCALE[LENS])
-    slope = (wrong(true + step) - wrong(true - step)) / (2.0 * SCALE[LENS])[:, None, None]
+    step = np.diag(INTRINSICS_SCALE)
+    slope = (wrong(true + step) - wrong(true - step)) / (2.0 * INTRINSICS_SCALE)[:, None, None]
     covariance = bounds.after(scenario, [scenario.simulation.duration_s])[0, LENS, LENS]
     bound = np.sqrt(np.einsum('inc,ij,jnc->n', slope, covariance, slope))
     rms = np.sqrt(np.mean(np.sum(after**2, axis=-1), axis=0))
