@@ -280,7 +280,7 @@ def test_batch_of_three_runs_equals_three_single_runs():
     turn = Preintegrated(*(np.stack(parts) for parts in zip(*turns)))
     after = FILTER.propagate(FILTER.update(start, frame, gated=False).belief, turn)
     for k in range(3):
-        single = FILTER.update(one(k), Stars(*(part[k] for part in frame)), gated=False).belief
+        single = FILTER.update(one(k), frame.take(k), gated=False).belief
         expected = FILTER.propagate(single, turns[k])
         np.testing.assert_allclose(after.nominal.augmented[k], expected.nominal.augmented, rtol=0,
                                    atol=1e-12)

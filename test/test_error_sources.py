@@ -63,10 +63,6 @@ def tracker_of(setting, count, **errors):
         {f'truth.star_tracker.{k}': v for k, v in errors.items()})).next(count)
 
 
-def frame_index(frames):
-    return np.repeat(np.arange(len(frames)), frames.star_counts)
-
-
 def images(setting, frames, early_ns=0, places_early_ns=None):
     """Return where the stars of the frames are, in raster pixels, some time before the stamps."""
     truth, stars = Truth.from_scenario(setting), catalog.load(8.0)
@@ -74,7 +70,7 @@ def images(setting, frames, early_ns=0, places_early_ns=None):
     u_i = apparent_places(
         stars, stars.rows(frames.catalog_id), frames.stamp_ns - places_early_ns,
         frames.star_counts, models.observer(setting.observer, setting.truth.observer))
-    C_si = truth.attitude_si(frames.stamp_ns - early_ns)[frame_index(frames)]
+    C_si = truth.attitude_si(frames.stamp_ns - early_ns)[frames.frame_index]
     return camera.project((C_si @ u_i[..., None])[..., 0], truth.intrinsics,
                           truth.detector.pitch_mm) + truth.detector.centre_raster
 
@@ -110,7 +106,7 @@ def test_with_every_error_off_a_centroid_is_that_of_the_plain_model():
     u_i = apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
                           frames.star_counts, models.observer(TAN2018.observer))
     C_gi = np.swapaxes(truth.motion.attitude(frames.stamp_ns), -1, -2)
-    r_s = ((truth.C_sg @ C_gi)[frame_index(frames)] @ u_i[..., None])[..., 0]
+    r_s = ((truth.C_sg @ C_gi)[frames.frame_index] @ u_i[..., None])[..., 0]
     uv = camera.project(r_s, truth.intrinsics, truth.detector.pitch_mm)
     uv = uv + 0.05 * rng.standard_normal(uv.shape)
     np.testing.assert_array_equal(frames.uv_raster, uv + truth.detector.centre_raster)
@@ -301,7 +297,7 @@ def test_a_smeared_centroid_is_the_mean_of_many_sub_exposures(offset_s):
         for t in 0.18 * ((np.arange(1000) + 0.5) / 1000 - 0.5)], axis=0)
     error = np.linalg.norm(frames.uv_raster - brute, axis=1)
     assert error.max() < 4.8e-4
-    steady = frame_index(frames) >= 7           # from 32.5 s on
+    steady = frames.frame_index >= 7           # from 32.5 s on
     assert error[steady].max() < 1e-7           # whole nanoseconds, of 35 px/s
 
 
@@ -385,7 +381,7 @@ def test_drift_turns_the_star_tracker_about_its_axes():
     C_gi = np.swapaxes(truth.motion.attitude(frames.stamp_ns), -1, -2)
     Psi = truth.drift.at(frames.stamp_ns)
     C_si = (np.eye(3) + rotation.skew(Psi)) @ truth.C_sg @ C_gi
-    uv = camera.project((C_si[frame_index(frames)] @ u_i[..., None])[..., 0], truth.intrinsics,
+    uv = camera.project((C_si[frames.frame_index] @ u_i[..., None])[..., 0], truth.intrinsics,
                         truth.detector.pitch_mm) + truth.detector.centre_raster
     # second order: (40 arcsec)^2 / 2 = 2e-8 rad, 4000 px/rad
     np.testing.assert_allclose(frames.uv_raster, uv, atol=1e-4)
@@ -403,7 +399,7 @@ def test_drift_and_smear_go_together():
     frames = tracker_of(setting, 40, smear=True)
     brute = np.mean([images(setting, frames, round(t * 1e9), 0)
                      for t in 0.18 * ((np.arange(100) + 0.5) / 100 - 0.5)], axis=0)
-    between = frame_index(frames) % 2 == 1
+    between = frames.frame_index % 2 == 1
     # both exact but for whole nanoseconds, of some 10 px/s, and sums of some 1000 px
     np.testing.assert_allclose(frames.uv_raster[between], brute[between], atol=1e-7)
     assert np.abs(brute - images(setting, frames)).max() > 1e-3
@@ -437,8 +433,8 @@ def test_hot_pixels_stand_still_behind_the_stars_of_each_frame():
     plain = tracker_of(TAN2018, 700)
     frames = tracker_of(TAN2018, 700, hot_pixels_per_frame=20)
     np.testing.assert_array_equal(frames.star_counts, plain.star_counts + 20)
-    rank = np.arange(len(frames.sigma)) - frames.first[frame_index(frames)]
-    hot = rank >= plain.star_counts[frame_index(frames)]
+    rank = np.arange(len(frames.sigma)) - frames.first[frames.frame_index]
+    hot = rank >= plain.star_counts[frames.frame_index]
     for name in ('uv_raster', 'sigma', 'magnitude', 'catalog_id'):
         np.testing.assert_array_equal(getattr(frames, name)[~hot], getattr(plain, name))
     places = frames.uv_raster[hot].reshape(700, 20, 2)

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from starcal_ros.measurements.samples import Frames, GyroSamples, newer
+from starcal_ros.measurements.samples import Frames, GyroSamples
 
 
 def same(a, b):
@@ -98,9 +98,3 @@ def test_frames_are_taken_in_any_order_with_their_stars(frames):
     assert same(frames.take(np.array([True, False, True, True, False])),
                 Frames.concatenate([frames[:1], frames[2:4]]))
     assert same(frames.take(np.zeros(5, bool)), Frames.empty())
-
-
-def test_newer_stamps_exceed_all_before_them():
-    stamps = np.array([5, 7, 7, 6, 9, 8, 10])
-    assert newer(stamps, 5).tolist() == [False, True, False, False, True, False, True]
-    assert newer(stamps[:0], 5).tolist() == []

@@ -125,6 +125,35 @@ def test_bad_frames_and_stars_do_no_harm(method):
 
 
 @METHODS
+def test_one_frame_stamped_a_day_ahead_costs_that_frame(method):
+    scenario, _, gyro, frames = recording(method)
+    stamps = frames.stamp_ns.copy()
+    stamps[10] += 86_400 * 10**9
+    begun, (estimate,) = calibrated(scenario, gyro, replace(frames, stamp_ns=stamps),
+                                    [len(frames)])
+    _, (without,) = calibrated(scenario, gyro, frames.take(np.arange(len(frames)) != 10),
+                               [len(frames)])
+    assert (estimate.frames, estimate.stars) == (without.frames, without.stars)
+    np.testing.assert_array_equal(estimate.intrinsics, without.intrinsics)
+    assert [text for text in begun.take_notices() if 'frame at' in text] == [
+        f'frame at {stamps[10]} ns is ahead of those that follow: dropped']
+
+
+@METHODS
+def test_a_recording_that_is_played_again_tells_nothing_new(method):
+    scenario, _, gyro, frames = recording(method)
+    _, (once,) = calibrated(scenario, gyro, frames, [len(frames)])
+    begun = calibration.start(scenario)
+    begun.add_gyro(GyroSamples.concatenate((gyro, gyro)))
+    begun.add_frames(Frames.concatenate((frames, frames)))
+    twice = begun.estimate()
+    assert (twice.frames, twice.stars) == (once.frames, once.stars)
+    np.testing.assert_array_equal(twice.intrinsics, once.intrinsics)
+    np.testing.assert_array_equal(twice.covariance, once.covariance)
+    assert sum('started again' in text for text in begun.take_notices()) == 1
+
+
+@METHODS
 def test_frames_without_any_star_that_is_known_give_no_estimate(method):
     scenario, _, gyro, frames = recording(method)
     strange = replace(frames[:20], uv_raster=np.full_like(frames[:20].uv_raster, np.nan))

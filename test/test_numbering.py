@@ -32,10 +32,10 @@ def unidentified(frames):
     return replace(frames, catalog_id=np.zeros_like(frames.catalog_id))
 
 
-def run(numbering, frames, wait=False):
+def run(identifier, frames, wait=False):
     """Give frames, return the numbers of all that come back."""
-    numbering.add_frames(unidentified(frames))
-    return list(numbering.process(wait))
+    identifier.add_frames(unidentified(frames))
+    return list(identifier.process(wait))
 
 
 def assert_right(numbers, frames, most_missing=0.1):
@@ -69,19 +69,19 @@ def test_frames_are_tracked_by_the_gyro_however_they_are_cut(readings):
 
 def test_a_frame_waits_for_the_readings_up_to_its_stamp_and_holds_those_behind_it(readings):
     gyro, frames = readings
-    numbering = FrameIdentifier(SCENARIO)
-    assert run(numbering, frames[:4], wait=True) == []
-    numbering.add_gyro(gyro[gyro.stamp_ns < frames.stamp_ns[2]])
-    assert len(list(numbering.process(True))) == 2
-    numbering.add_gyro(gyro[gyro.stamp_ns >= frames.stamp_ns[2]][:1])
-    assert len(list(numbering.process(True))) == 1
-    assert len(list(numbering.process(False))) == 1
+    identifier = FrameIdentifier(SCENARIO)
+    assert run(identifier, frames[:4], wait=True) == []
+    identifier.add_gyro(gyro[gyro.stamp_ns < frames.stamp_ns[2]])
+    assert len(list(identifier.process(True))) == 2
+    identifier.add_gyro(gyro[gyro.stamp_ns >= frames.stamp_ns[2]][:1])
+    assert len(list(identifier.process(True))) == 1
+    assert len(list(identifier.process(False))) == 1
 
 
 def test_without_a_gyro_the_last_rate_goes_on(readings):
-    numbering = FrameIdentifier(SCENARIO)
-    assert_right(run(numbering, readings[1]), readings[1])
-    assert numbering.take_counts()['frames found by a search'] <= 4     # at first, at the corners
+    identifier = FrameIdentifier(SCENARIO)
+    assert_right(run(identifier, readings[1]), readings[1])
+    assert identifier.take_counts()['frames found by a search'] <= 4     # at first, at the corners
 
 
 def test_readings_that_are_late_twice_or_no_numbers_change_nothing(readings):
@@ -89,37 +89,37 @@ def test_readings_that_are_late_twice_or_no_numbers_change_nothing(readings):
     rate = gyro.rate.copy()
     rate[::100] = np.nan
     disturbed = GyroSamples(gyro.stamp_ns, rate)
-    clean, numbering = FrameIdentifier(SCENARIO), FrameIdentifier(SCENARIO)
+    clean, identifier = FrameIdentifier(SCENARIO), FrameIdentifier(SCENARIO)
     clean.add_gyro(gyro.take(np.isfinite(rate[:, 0])))
     for k in range(0, len(gyro), 200):
-        numbering.add_gyro(disturbed[k:k + 200])
-        numbering.add_gyro(disturbed[max(k - 50, 0):k + 200])
-    for one, other in zip(run(clean, frames), run(numbering, frames), strict=True):
+        identifier.add_gyro(disturbed[k:k + 200])
+        identifier.add_gyro(disturbed[max(k - 50, 0):k + 200])
+    for one, other in zip(run(clean, frames), run(identifier, frames), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_a_clock_that_is_set_back_costs_a_search(readings):
     """The readings of a recording that is played in a loop, and its frames."""
     gyro, frames = readings
-    numbering = FrameIdentifier(SCENARIO)
-    numbering.add_gyro(gyro[:3000])
-    numbers = run(numbering, frames[:40])
-    numbering.add_gyro(GyroSamples.concatenate((gyro[3000:], gyro)))
-    numbers += run(numbering, frames)
+    identifier = FrameIdentifier(SCENARIO)
+    identifier.add_gyro(gyro[:3000])
+    numbers = run(identifier, frames[:40])
+    identifier.add_gyro(GyroSamples.concatenate((gyro[3000:], gyro)))
+    numbers += run(identifier, frames)
     assert_right(numbers, Frames.concatenate((frames[:40], frames)))
-    assert numbering.take_counts()['frames found by a search'] == 2
+    assert identifier.take_counts()['frames found by a search'] == 2
 
 
 def test_a_wrong_stamp_of_the_gyro_is_got_over(readings):
     gyro, frames = readings
     stamp_ns = gyro.stamp_ns.copy()
     stamp_ns[1000] += 3600 * 10**9
-    numbering, numbers = FrameIdentifier(SCENARIO), []
+    identifier, numbers = FrameIdentifier(SCENARIO), []
     for k in range(FRAMES):
-        numbering.add_gyro(GyroSamples(stamp_ns, gyro.rate)[50 * k:50 * (k + 1)])
-        numbers += run(numbering, frames[k:k + 1])
+        identifier.add_gyro(GyroSamples(stamp_ns, gyro.rate)[50 * k:50 * (k + 1)])
+        numbers += run(identifier, frames[k:k + 1])
     assert_right(numbers, frames)
-    assert numbering.take_counts()['frames found by a search'] <= 3
+    assert identifier.take_counts()['frames found by a search'] <= 3
 
 
 def test_what_the_fields_of_a_frame_may_hold_is_borne(readings):
@@ -132,30 +132,29 @@ def test_what_the_fields_of_a_frame_may_hold_is_borne(readings):
     uv[odd == 0], uv[odd == 1] = np.nan, 1e300
     magnitude[odd == 2], magnitude[odd == 3], magnitude[odd == 4] = np.inf, -np.inf, -1e4
     sigma[odd == 5], sigma[odd == 6] = np.nan, -1.0
-    numbering = FrameIdentifier(SCENARIO)
-    numbers = run(numbering, replace(frames, uv_raster=uv, magnitude=magnitude, sigma=sigma))
+    identifier = FrameIdentifier(SCENARIO)
+    numbers = run(identifier, replace(frames, uv_raster=uv, magnitude=magnitude, sigma=sigma))
     assert_right(numbers, frames, 0.7)
     assert not np.concatenate(numbers)[np.isin(odd, [0, 1, 5, 6])].any()
     empty = Frames(frames.stamp_ns[:1] + 10**10, np.array([0, 0]), np.empty((0, 2)), np.empty(0),
                    np.empty(0), np.empty(0, np.int64))
-    assert [len(number) for number in run(numbering, empty)] == [0]
+    assert [len(number) for number in run(identifier, empty)] == [0]
 
 
 def test_mirrored_stars_are_told_and_get_no_number(readings):
     frames = readings[1][:2]
     uv = frames.uv_raster * [-1.0, 1.0] + [SCENARIO.camera.width - 1.0, 0.0]
-    numbering = FrameIdentifier(SCENARIO)
-    numbers = run(numbering, replace(frames, uv_raster=uv))
+    identifier = FrameIdentifier(SCENARIO)
+    numbers = run(identifier, replace(frames, uv_raster=uv))
     assert not np.concatenate(numbers).any()
-    assert len(numbering.take_notices()) == 2 and not numbering.take_notices()
+    assert len(identifier.take_notices()) == 2 and not identifier.take_notices()
 
 
 def test_readings_without_frames_do_not_fill_the_memory(readings, monkeypatch):
-    monkeypatch.setattr(frame_identifier, '_GYRO_KEPT', 500)
-    monkeypatch.setattr(frame_identifier, '_PARTS', 100)
+    monkeypatch.setattr(frame_identifier, 'GYRO_KEPT_NS', 5 * 10**9)
     gyro, frames = readings
-    numbering = FrameIdentifier(SCENARIO)
+    identifier = FrameIdentifier(SCENARIO)
     for k in range(len(gyro)):
-        numbering.add_gyro(gyro[k:k + 1])
-    assert sum(map(len, numbering._gyro)) <= 600
-    assert_right(run(numbering, frames), frames)
+        identifier.add_gyro(gyro[k:k + 1])
+    assert len(identifier._gyro) <= 501
+    assert_right(run(identifier, frames), frames)

@@ -38,7 +38,7 @@ def gyro():
 def spoiled(frames, seed=1):
     """Return the frames with stars missing and false spots, the spots in random order."""
     rng = np.random.default_rng(seed)
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+    frame = frames.frame_index
     keep = rng.random(len(frame)) >= MISSING
     false = np.repeat(np.arange(len(frames)), FALSE)
     frame = np.concatenate((frame[keep], false))
@@ -52,7 +52,7 @@ def spoiled(frames, seed=1):
 
 def links(frames, key, counted):
     """Return pairs of rows with one key that follow each other within the patience."""
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+    frame = frames.frame_index
     rows = np.flatnonzero(counted)
     rows = rows[np.lexsort((frame[rows], key[rows]))]
     near = ((key[rows][1:] == key[rows][:-1])

@@ -3,17 +3,20 @@
 """The camera alone: methods found by name, and the mathematics that they stand on.
 
 Each module of `methods` has ``start(scenario, known=None)``, which returns a
-`camera_estimate.CameraMethod`: gyro samples and frames go in, a camera with its covariance comes
-out. It begins at the nominal camera with the initial sigmas, or at what is known from other
-frames. What all methods must do is tested in ``test/test_methods.py``, which finds them here.
+`method.CameraMethod`: gyro samples and frames in the order of their stamps go in, a camera with
+its covariance comes out. It begins at the nominal camera with the initial sigmas, or at what is
+known from other frames. What all methods must do is tested in ``test/test_methods.py``, which
+finds them here.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from importlib import import_module
 import pkgutil
 
 from starcal_ros.calibration import methods
+from starcal_ros.calibration.camera_calibrator import CameraCalibrator
 from starcal_ros.calibration.method import CameraMethod
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
@@ -25,8 +28,8 @@ def names() -> list[str]:
     return sorted(module.name for module in pkgutil.iter_modules(methods.__path__))
 
 
-def start(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMethod:
-    """Begin a calibration by the method ``intrinsics.method``.
+def method(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMethod:
+    """Begin the method ``intrinsics.method``, for messages with increasing stamps.
 
     Parameters
     ----------
@@ -39,9 +42,13 @@ def start(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMeth
     ConfigError
         Where there is no such method.
     """
-    method = scenario.intrinsics.method
-    if method not in names():
-        raise ConfigError(f'intrinsics.method: got {method!r}, allowed are {", ".join(names())}')
-    begun: CameraMethod = import_module(f'{methods.__name__}.{method}').start(
-        scenario, known)
+    name = scenario.intrinsics.method
+    if name not in names():
+        raise ConfigError(f'intrinsics.method: got {name!r}, allowed are {", ".join(names())}')
+    begun: CameraMethod = import_module(f'{methods.__name__}.{name}').start(scenario, known)
     return begun
+
+
+def start(scenario: Scenario, known: CameraEstimate | None = None) -> CameraCalibrator:
+    """Begin the method ``intrinsics.method``, for messages as they arrive; else as `method`."""
+    return CameraCalibrator(scenario, partial(method, scenario, known))

@@ -6,7 +6,7 @@ The parameters are constants, or walk at random. Each frame is one update of an 
 filter (W19 Eq. 23 to 28, the covariance as a root, see `kalman`), iterated while its steps are
 large against what is then known.
 
-A star is left out where the sum of squares of a frame falls by more than the gate when it goes,
+A star is rejected where the sum of squares of a frame falls by more than the gate when it goes,
 the worst first (data snooping; W. Baarda, *A Testing Procedure for Use in Geodetic Networks*,
 1968). In a frame that does not fit all pairs vote first (`acquisition.consensus`), so that wrong
 stars can not hide each other.
@@ -22,16 +22,17 @@ import numpy as np
 
 from starcal_ros.calibration import invariants
 from starcal_ros.calibration.invariants import Frame, Information, Lens
-from starcal_ros.config.models import nominal_camera
+from starcal_ros.config.models import nominal_camera, of_intrinsics, star_gate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, kalman
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.consensus import OUT_OF_PLACE, consensus
-from starcal_ros.core.units import NS
-from starcal_ros.filter.error_state import Filter
+from starcal_ros.core.units import NS, SQRT_HOUR
+from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import StarDirections
+from starcal_ros.measurements.timeline import NEVER_NS
 
 Measurement = Callable[[Frame], Information]
 """What a method takes from a frame."""
@@ -39,7 +40,6 @@ Measurement = Callable[[Frame], Information]
 _ITERATIONS = 10
 _LARGE = 0.3            # sigmas: a step that asks for another iteration
 _TINY = 1e-9            # weight given to what the rest of a frame can not tell about a star
-_NOT_YET_NS = np.iinfo(np.int64).min
 
 
 class CameraBelief(NamedTuple):
@@ -132,7 +132,7 @@ def screen(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement,
             return fitted, np.ones(len(misfit), np.bool_)
         use = _vote(belief, stars, lens)
         while 2 * use.sum() > len(use):
-            fitted, misfit = _fit(belief, Stars(*(part[use] for part in stars)), lens, measure)
+            fitted, misfit = _fit(belief, stars.take(use), lens, measure)
             if misfit.max() <= gate:
                 return fitted, use
             use[np.flatnonzero(use)[np.argmax(misfit)]] = False
@@ -206,42 +206,34 @@ class AttitudeFree:
 
     def __init__(self, scenario: Scenario, measure: Measurement, min_stars: int,
                  known: CameraEstimate | None = None) -> None:
-        options, begun = Filter(scenario), nominal_camera(scenario, known)
-        pitch_mm = options.detector.pitch_mm
+        options, begun = scenario.estimator, nominal_camera(scenario, known)
+        pitch_mm = scenario.camera.pixel_pitch_mm
         self._lens = Lens(partial(camera.unproject, pitch_mm=pitch_mm, steps=0),
                           partial(camera.linearize, pitch_mm=pitch_mm))
         self._measure, self._min_stars = measure, min_stars
         estimated = np.isin(camera.INTRINSICS, scenario.intrinsics.estimate)
         self._first = CameraBelief(begun.intrinsics, kalman.root_of(begun.covariance))
-        self._density = options.density[-len(estimated):] * estimated
-        self._gate = options.gate
-        self._patience = scenario.estimator.reacquire_after_frames
+        self._density = of_intrinsics(options.process_noise) / SQRT_HOUR * estimated
+        self._gate = star_gate(options)
+        self._patience = options.reacquire_after_frames
         self._directions = StarDirections(scenario)
         self._belief = self._first
-        self._newest_ns = _NOT_YET_NS
-        self._used_ns = _NOT_YET_NS
+        self._used_ns = NEVER_NS
         self._frames = self._stars = self._rejected_in_a_row = 0
-        self._notices: dict[object, str] = {}
-        self._said: set[object] = set()
-        self._left_out = {'frames not newer than the one before': 0,
-                          'stars that do not fit': 0, 'frames of which most do not fit': 0}
+        self._notices = Notices()
+        self.take_notices = self._notices.take
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples: they tell nothing here."""
 
     def add_frames(self, frames: Frames) -> None:
-        """Take frames, in the order in which they arrived."""
-        stars, notices = self._directions.of(frames)
-        self._notices.update(notices)
+        """Take frames."""
+        stars = self._directions.of(frames, self._notices)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
-            if stamp_ns <= self._newest_ns:
-                self._left_out['frames not newer than the one before'] += 1
-                continue
-            self._newest_ns = stamp_ns
             rows = np.arange(frames.first[k], frames.first[k + 1])
             rows = rows[np.isfinite(stars.sigma[rows])]
             if len(rows) >= self._min_stars:
-                self._take(stamp_ns, Stars(*(part[rows] for part in stars)))
+                self._take(stamp_ns, stars.take(rows))
 
     def _take(self, stamp_ns: int, stars: Stars) -> None:
         belief = self._belief
@@ -254,14 +246,13 @@ class AttitudeFree:
             self._belief, self._used_ns, self._rejected_in_a_row = belief, stamp_ns, 0
             self._frames += 1
             self._stars += int(used.sum())
-            self._left_out['stars that do not fit'] += int((~used).sum())
+            self._notices.count('stars that do not fit: rejected', int((~used).sum()))
             return
-        self._left_out['frames of which most do not fit'] += 1
+        self._notices.count('frames of which most do not fit: rejected', 1)
         self._rejected_in_a_row += 1
         if self._rejected_in_a_row == self._patience and self._frames:
-            self._notices[stamp_ns] = (
-                f'{self._patience} frames in a row up to {stamp_ns} ns do not fit: the '
-                'calibration begins afresh')
+            self._notices.say(f'{self._patience} frames in a row up to {stamp_ns} ns do not fit: '
+                              'the calibration begins afresh')
             self._belief, self._frames, self._stars = self._first, 0, 0
 
     def estimate(self) -> CameraEstimate | None:
@@ -270,12 +261,3 @@ class AttitudeFree:
             return None
         parameters, root = self._belief
         return CameraEstimate(parameters, root @ root.T, self._frames, self._stars)
-
-    def take_notices(self) -> list[str]:
-        """Return what happened since the last call that a user should know."""
-        notices = [text for key, text in self._notices.items() if key not in self._said]
-        self._said.update(self._notices)
-        self._notices.clear()
-        notices += [f'{count} {what}: left out' for what, count in self._left_out.items() if count]
-        self._left_out = dict.fromkeys(self._left_out, 0)
-        return notices

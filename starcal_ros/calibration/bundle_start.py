@@ -10,24 +10,22 @@ from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Observations
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.consensus import OUT_OF_PLACE, consensus
-from starcal_ros.measurements.samples import Frames
-from starcal_ros.measurements.star_directions import Placed
+from starcal_ros.measurements.samples import Frames, Stars
 
 
-def identified(frames: Frames, placed: Placed) -> Observations:
-    """Return the stars with a place, of the frames that have enough of them."""
-    use = usable(frames, placed)
-    u_i, uv, sigma = (part[use] for part in placed.stars)
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)[use]
-    number = np.unique(frame, return_inverse=True)[1]
+def identified(frames: Frames, stars: Stars) -> Observations:
+    """Return the stars of known direction, of the frames that have enough of them."""
+    use = usable(frames, stars)
+    number = np.unique(frames.frame_index[use], return_inverse=True)[1]
+    u_i, uv, sigma = stars.take(use)
     return Observations(number, uv, sigma, u_i, np.full(len(number), -1))
 
 
-def usable(frames: Frames, placed: Placed) -> Mask:
-    """Tell which stars have a place and are in a frame that has enough of them."""
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-    use = np.isfinite(placed.stars.sigma)
-    return use & (np.bincount(frame, use, len(frames))[frame] >= MIN_STARS)
+def usable(frames: Frames, stars: Stars) -> Mask:
+    """Tell which stars have a known direction and are in a frame that has enough of them."""
+    use = np.isfinite(stars.sigma)
+    return use & (np.bincount(frames.frame_index, use, len(frames))[frames.frame_index]
+                  >= MIN_STARS)
 
 
 def attitudes(spots: Observations, r_s: Array) -> Array:
@@ -39,7 +37,7 @@ def attitudes(spots: Observations, r_s: Array) -> Array:
     Parameters
     ----------
     spots : Observations
-        With places.
+        Of known direction.
     r_s : (m, 3) array
         Measured directions of the spots.
     """

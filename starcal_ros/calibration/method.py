@@ -14,10 +14,10 @@ class CameraMethod(Protocol):
     """A calibration in progress; ``start`` of each calibration method makes one."""
 
     def add_gyro(self, samples: GyroSamples) -> None:
-        """Take gyro samples, in the order in which they arrived."""
+        """Take gyro samples with increasing stamps."""
 
     def add_frames(self, frames: Frames) -> None:
-        """Take frames, in the order in which they arrived."""
+        """Take frames with increasing stamps."""
 
     def estimate(self) -> CameraEstimate | None:
         """Return the camera from all that has come so far; None while there is nothing to say."""

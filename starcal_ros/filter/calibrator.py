@@ -7,10 +7,9 @@ soon as a gyro sample reaches its stamp, whatever the order in which the two top
 estimates depend on the messages alone: a live run and the calibration of its recording agree.
 
 Nothing that comes in stops the calibrator. What can not be used is dropped, counted (`Counts`) and
-named once in `Calibrator.take_notices`. Which stamps are believed `timeline` tells, topic by
-topic. Where the clock of both was set back, the calibrator finishes what came before and starts
-again from the nominal values. Where that of one topic alone was, and the other goes on past the
-time at which it is caught up with, what came too late is dropped.
+named once in `Calibrator.take_notices`. What is believed of the two topics `intake` tells: where
+the clock of both was set back, the calibrator finishes what came before and starts again from the
+nominal values.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,19 +32,19 @@ from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
 from starcal_ros.filter.states import EPSILON, SCALE
 from starcal_ros.measurements import preintegration
+from starcal_ros.measurements.gyro_buffer import GyroBuffer
+from starcal_ros.measurements.intake import FRAMES_KEPT, GYRO_KEPT_NS, Change, Intake
+from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.preintegration import GAP, Preintegrated
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import StarDirections
-from starcal_ros.measurements.timeline import NEVER_NS, Dropped, Timeline
+from starcal_ros.measurements.timeline import NEVER_NS
 
 REPROJECTION_S = 600.0
 """Time over which the reprojection error is taken, T18 Sec. 3.1 [s]."""
 
-_GYRO_KEPT_S = 3600.0       # readings kept while no frame comes [s]
-_FRAMES_KEPT = 20_000       # frames kept while no gyro comes
 _BATCH = 2000               # frames prepared at once
-_ONE_SIDED_NS = 5 * 10**9   # time that one topic goes on without the other's jump
-_NAMED = 20                 # notices of one kind, at most
+_NAMED = 20                 # losses of the attitude that are named, at most
 
 
 @dataclass
@@ -121,19 +119,16 @@ class Calibrator:
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
         self._patience = scenario.estimator.reacquire_after_frames
         self._directions = StarDirections(scenario)
-        self._gyro_time = Timeline[GyroSamples](
-            self._period_ns, kept=round(_GYRO_KEPT_S / NS / self._period_ns))
-        self._frame_time = Timeline[Frames](self._frame_period_ns, kept=_FRAMES_KEPT)
-        self._notices: list[str] = []
-        self._named: set[object] = set()
+        self._notices = Notices()
+        self._intake = Intake(scenario, self._notices)
         self._begin(restarts=0)
 
     def _begin(self, restarts: int) -> None:
         self.counts = Counts(restarts=restarts)
         self.belief: Belief | None = None
         self.stamp_ns = 0                               # of the last frame processed
-        self._gyro = GyroSamples.empty()
-        self._frames: list[Frames] = []
+        self._gyro = GyroBuffer()
+        self._frames = Frames.empty()                   # that wait for the gyro
         self._newest_frame_ns = NEVER_NS
         self._rejected_in_a_row = 0
         self._recent: deque[tuple[int, Array, int]] = deque()
@@ -149,63 +144,52 @@ class Calibrator:
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples, in the order in which they arrived."""
-        finite = np.isfinite(samples.rate).all(axis=1)
-        if not finite.all():
-            self._notice('rate', f'gyro reading at {samples.stamp_ns[~finite][0]} ns is not '
-                         'finite: dropped')
-        self.counts.dropped_messages += int((~finite).sum())
-        parts = self._gyro_time.add(GyroSamples(samples.stamp_ns[finite], samples.rate[finite]))
-        self._account_dropped('gyro reading', self._gyro_time.take_dropped())
-        self._use_gyro(parts)
+        self._intake.add_gyro(samples)
+        self._take()
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
-        parts = self._frame_time.add(frames)
-        self._account_dropped('frame', self._frame_time.take_dropped())
-        self._use_frames(parts)
+        self._intake.add_frames(frames)
+        self._take()
 
-    def _use_gyro(self, parts: list[GyroSamples]) -> None:
-        good = GyroSamples.concatenate(parts)
-        self.counts.gyro += len(good)
-        if not len(good):
-            return
-        before = self._gyro.stamp_ns[-1:] if len(self._gyro) else good.stamp_ns[:1]
-        steps = good.stamp_ns - np.concatenate((before, good.stamp_ns[:-1]))
+    def _take(self) -> None:
+        gyro, frames = self._intake.take()
+        self.counts.dropped_messages += self._intake.take_dropped()
+        if len(gyro):
+            self._count_gyro(gyro)
+            self._gyro.add(gyro)
+        if len(frames):
+            self._count_frames(frames.stamp_ns)
+            self._frames = Frames.concatenate((self._frames, frames))
+
+    def _count_gyro(self, samples: GyroSamples) -> None:
+        stamps, before = samples.stamp_ns, self._gyro.newest_ns
+        self.counts.gyro += len(samples)
+        steps = stamps - np.concatenate((
+            [stamps[0] if before == NEVER_NS else before], stamps[:-1]))
         silent = steps > GAP * self._period_ns
         self.counts.gyro_gaps += int(silent.sum())
         self.counts.missing_gyro += int(np.rint(steps[silent] / self._period_ns - 1).sum())
         if silent.any():
-            self._notice('gap', f'gyro silent for {steps[silent][0] * NS:.3f} s before '
-                         f'{good.stamp_ns[silent][0]} ns: bridged')
-        self._gyro = GyroSamples.concatenate((self._gyro, good))
+            self._notices.once('gap', f'gyro silent for {steps[silent][0] * NS:.3f} s before '
+                               f'{stamps[silent][0]} ns: bridged')
 
-    def _use_frames(self, parts: list[Frames]) -> None:
-        for part in parts:
-            stamps = part.stamp_ns
-            before = stamps[0] if self._newest_frame_ns == NEVER_NS else self._newest_frame_ns
-            steps = np.rint(np.diff(stamps, prepend=before) / self._frame_period_ns) - 1
-            self.counts.missing_frames += int(np.maximum(steps, 0).sum())
-            self._newest_frame_ns = int(stamps[-1])
-        self._frames += parts
-
-    def _account_dropped(self, what: str, dropped: list[Dropped]) -> None:
-        for number, stamp_ns, ahead in dropped:
-            self.counts.dropped_messages += number
-            self._notice((what, ahead), f'{what} at {stamp_ns} ns is ' + (
-                'ahead of those that follow' if ahead else 'not newer than the one before')
-                + ': dropped')
+    def _count_frames(self, stamps_ns: Ints) -> None:
+        before = stamps_ns[0] if self._newest_frame_ns == NEVER_NS else self._newest_frame_ns
+        steps = np.rint(np.diff(stamps_ns, prepend=before) / self._frame_period_ns) - 1
+        self.counts.missing_frames += int(np.maximum(steps, 0).sum())
+        self._newest_frame_ns = int(stamps_ns[-1])
 
     # Going out
 
     @property
     def waiting(self) -> int:
         """Number of frames that wait for a gyro sample to reach them."""
-        return sum(map(len, chain(self._frames, *self._frame_time.later)))
+        return len(self._frames) + self._intake.waiting
 
     def take_notices(self) -> list[str]:
         """Return what happened that a user should know, once."""
-        notices, self._notices = self._notices, []
-        return notices
+        return self._notices.take()
 
     def process(self, tracked: bool = False) -> Iterator[FrameResult]:
         """Process the frames that the gyro has reached; to be run to its end.
@@ -216,7 +200,12 @@ class Calibrator:
             Give the attitude at the gyro samples before each frame along with it.
         """
         yield from self._process_reached(tracked)
-        while self._clock_was_set_back():
+        while change := self._intake.settle():
+            if change is Change.RESTARTED:
+                dropped = self.counts.dropped_messages + len(self._frames)
+                self._begin(self.counts.restarts + 1)
+                self.counts.dropped_messages = dropped
+            self._take()
             yield from self._process_reached(tracked)
 
     def track(self) -> AttitudeTrack:
@@ -237,11 +226,11 @@ class Calibrator:
         Only after a frame has given an attitude.
         """
         assert self.belief is not None
-        estimate, last = self.belief.estimate, int(self._gyro.stamp_ns[-1])
+        estimate, last = self.belief.estimate, self._gyro.newest_ns
         if last <= self.stamp_ns:
             return self.stamp_ns, estimate.C_gi
         pieces = preintegration.cut(
-            self._gyro, np.array([self.stamp_ns, last]), self._period_ns)
+            self._gyro.since(self.stamp_ns), np.array([self.stamp_ns, last]), self._period_ns)
         gain = augmentation.gain(estimate.augmented)
         return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
 
@@ -262,59 +251,33 @@ class Calibrator:
 
     # Inside
 
-    def _clock_was_set_back(self) -> bool:
-        """Settle what became of a clock that was set back, where that can be told by now."""
-        gyro, frames = self._gyro_time, self._frame_time
-        if _one_sided(gyro, frames):
-            self._use_gyro(gyro.rejoin())
-            self._account_dropped('gyro reading', gyro.take_dropped())
-        elif _one_sided(frames, gyro):
-            self._use_frames(frames.rejoin())
-            self._account_dropped('frame', frames.take_dropped())
-        elif gyro.later and frames.later:
-            before_ns, dropped = gyro.end_ns, (
-                self.counts.dropped_messages + sum(map(len, self._frames)))
-            self._begin(self.counts.restarts + 1)
-            self.counts.dropped_messages = dropped
-            self._use_gyro(gyro.begin_next())
-            self._use_frames(frames.begin_next())
-            back_s = (before_ns - int(self._gyro.stamp_ns[0])) * NS
-            self._notices.append(f'stamps went back by {back_s:.3f} s to '
-                                 f'{self._gyro.stamp_ns[0]} ns: started again')
-        else:
-            return False
-        return True
-
     def _process_reached(self, tracked: bool) -> Iterator[FrameResult]:
-        if not self._frames:
-            if len(self._gyro):
-                self._forget_gyro_before(int(self._gyro.stamp_ns[-1] - _GYRO_KEPT_S / NS))
+        frames = self._frames
+        if not len(frames):
+            self._gyro.keep_last(GYRO_KEPT_NS)
             return
-        frames = Frames.concatenate(self._frames)
-        reached_ns = self._gyro.stamp_ns[-1:].max(initial=NEVER_NS)
-        ready = int(np.searchsorted(frames.stamp_ns, reached_ns, side='right'))
-        excess = max(0, len(frames) - ready - _FRAMES_KEPT)
+        ready = int(np.searchsorted(frames.stamp_ns, self._gyro.newest_ns, side='right'))
+        excess = max(0, len(frames) - ready - FRAMES_KEPT)
         if excess:
-            self._notice('no gyro', f'{_FRAMES_KEPT} frames wait for the gyro: the oldest are '
-                         'dropped')
+            self._notices.once('no gyro', f'{FRAMES_KEPT} frames wait for the gyro: the oldest '
+                               'are dropped')
             self.counts.dropped_messages += excess
-        self._frames = [frames[ready + excess:]] if ready + excess < len(frames) else []
+        self._frames = frames[ready + excess:]
         for low in range(0, ready, _BATCH):
             high = min(low + _BATCH, ready)
             yield from self._process(frames[low:high], tracked)
 
     def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
-        stars, notices = self._directions.of(frames)
-        for key, text in notices:
-            self._notice(key, text)
+        stars = self._directions.of(frames, self._notices)
         self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())
         begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
         cuts = np.concatenate(([begin], frames.stamp_ns))
         gyro = preintegration.preintegrate(
-            self._gyro, cuts, self.filter.start.bias, self._period_ns, self.filter.has_matrix)
+            self._gyro.since(begin), cuts, self.filter.start.bias, self._period_ns,
+            self.filter.has_matrix)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             rows = slice(frames.first[k], frames.first[k + 1])
-            frame = Stars(*(part[rows] for part in stars))
+            frame = stars.take(rows)
             belief = self.belief
             if belief is not None:
                 belief = self.filter.propagate(
@@ -329,18 +292,19 @@ class Calibrator:
             belief, frame = start
             update = self.filter.update(belief, frame)
             self.belief = update.belief
-            placed = np.isfinite(stars.sigma[rows])
-            self._account(update, placed)
+            usable = np.isfinite(stars.sigma[rows])
+            self._account(update, usable)
             yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows],
-                              np.where(placed[:, None], update.residual, np.nan),
-                              np.where(placed, update.chi2, np.nan), update.accepted,
+                              np.where(usable[:, None], update.residual, np.nan),
+                              np.where(usable, update.chi2, np.nan), update.accepted,
                               frames.catalog_id[rows], float(update.nis), track)
-        self._forget_gyro_before(self.stamp_ns)
+        self._gyro.forget_before(self.stamp_ns)
 
     def _track(self, until_ns: int) -> AttitudeTrack:
         if self.belief is None:
             return AttitudeTrack.empty()
-        return self._tracker.advance(self.belief, self.stamp_ns, self._gyro, until_ns)
+        return self._tracker.advance(
+            self.belief, self.stamp_ns, self._gyro.since(self.stamp_ns), until_ns)
 
     def _with_attitude(self, belief: Belief | None, frame: Stars, reading: Array
                        ) -> tuple[Belief, Stars] | None:
@@ -352,12 +316,13 @@ class Calibrator:
         try:
             found = acquire(self.filter, belief, frame)
         except AcquisitionError as error:
-            self._notice('acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
+            self._notices.once(
+                'acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
             return None if belief is None else (belief, frame)
         self.counts.acquisitions += 1
         self._rejected_in_a_row = 0
         if belief is not None and self.counts.acquisitions <= _NAMED:
-            self._notices.append(f'attitude lost, found again at {self.stamp_ns} ns')
+            self._notices.say(f'attitude lost, found again at {self.stamp_ns} ns')
         found_belief, frame = found
         return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
 
@@ -368,26 +333,9 @@ class Calibrator:
         self.counts.rejected_stars += rejected
         self._rejected_in_a_row = self._rejected_in_a_row + 1 if rejected > used else 0
         if self._rejected_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
-            self._notices.append(f'most stars rejected in {self._patience} frames up to '
-                                 f'{self.stamp_ns} ns: the attitude is sought afresh')
+            self._notices.say(f'most stars rejected in {self._patience} frames up to '
+                              f'{self.stamp_ns} ns: the attitude is sought afresh')
         squares = np.sum(update.residual[update.accepted]**2, axis=0)
         self._recent.append((self.stamp_ns, squares, used))
         while self._recent[0][0] < self.stamp_ns - REPROJECTION_S / NS:
             self._recent.popleft()
-
-    def _forget_gyro_before(self, stamp_ns: int) -> None:
-        # The reading at or before the stamp stays: the next one begins where it ends.
-        first = int(np.searchsorted(self._gyro.stamp_ns, stamp_ns, side='right')) - 1
-        if first > 0:
-            self._gyro = self._gyro[first:]
-
-    def _notice(self, key: object, text: str) -> None:
-        if key not in self._named:
-            self._named.add(key)
-            self._notices.append(text)
-
-
-def _one_sided(back: Timeline[Any], other: Timeline[Any]) -> bool:
-    """Tell whether a clock was set back and has caught up, while the other topic went on."""
-    overtaken_ns = back.overtaken_ns
-    return overtaken_ns is not None and other.end_ns >= overtaken_ns + _ONE_SIDED_NS

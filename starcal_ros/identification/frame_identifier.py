@@ -5,9 +5,8 @@
 Gyro readings carry the attitude from frame to frame, so a frame waits for those up to its stamp.
 Where there are none, the last rate does.
 
-A reading that is not newer than the last one is late and left out. When stamps go back by more
-than `timeline.SET_BACK_S`, the clock was set back, or the last stamp was wrong, and the readings
-before are forgotten. A frame that is not newer than the last one is searched for.
+Which readings are believed `timeline` tells; where their clock was set back, those before are
+forgotten. Every frame is answered: one that is not newer than the last one is searched for.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from starcal_ros.core.arrays import Ints
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identification, Identifier, MirroredError
 from starcal_ros.measurements.frame_rotations import from_gyro
+from starcal_ros.measurements.gyro_buffer import GyroBuffer
+from starcal_ros.measurements.intake import GYRO_KEPT_NS
+from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.measurements.timeline import NEVER_NS, SET_BACK_S
-
-_SET_BACK_NS = round(SET_BACK_S * 1e9)
-_GYRO_KEPT, _PARTS = 500_000, 1000      # readings while no frame comes, and arrays of them
+from starcal_ros.measurements.timeline import Timeline
 
 
 class FrameIdentifier:
@@ -54,26 +53,24 @@ class FrameIdentifier:
             CameraGuess(detector(scenario.camera), camera.intrinsics, camera.covariance),
             observer(scenario.observer), scenario.star_identifier.limiting_magnitude)
         self._identifier.prepare()
-        self._gyro: list[GyroSamples] = []
-        self._gyro_ns = NEVER_NS                # of the newest reading
+        period_ns = 1e9 / scenario.gyro.rate_hz
+        self._gyro_time = Timeline[GyroSamples](period_ns, round(GYRO_KEPT_NS / period_ns))
+        self._gyro = GyroBuffer()
         self._last: Frames | None = None
         self._waiting: deque[Frames] = deque()
-        self._notices: list[str] = []
+        self._notices = Notices()
+        self.take_notices = self._notices.take
         self._counts: Counter[str] = Counter()
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take readings, in the order in which they arrived."""
-        samples = samples.take(np.flatnonzero(np.isfinite(samples.rate).all(axis=1)))
-        while len(back := np.flatnonzero(
-                samples.stamp_ns + _SET_BACK_NS < self._before(samples.stamp_ns))):
-            self._gyro, self._gyro_ns = [], NEVER_NS
-            samples = samples[int(back[0]):]
-        samples = samples.take(samples.stamp_ns > self._before(samples.stamp_ns))
-        if len(samples):
-            self._gyro.append(samples)
-            self._gyro_ns = int(samples.stamp_ns[-1])
-        if len(self._gyro) > _PARTS:
-            self._gyro = [GyroSamples.concatenate(self._gyro)[-_GYRO_KEPT:]]
+        for part in self._gyro_time.add(samples.take(samples.finite)):
+            self._gyro.add(part)
+        while self._gyro_time.later:
+            self._gyro.clear()
+            for part in self._gyro_time.begin_next():
+                self._gyro.add(part)
+        self._gyro.keep_last(GYRO_KEPT_NS)
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
@@ -90,7 +87,7 @@ class FrameIdentifier:
         while self._waiting:
             frame = self._waiting[0]
             stamp_ns = int(frame.stamp_ns[0])
-            if wait and self._gyro_ns < stamp_ns:
+            if wait and not self._gyro.reaches(stamp_ns):
                 return
             self._waiting.popleft()
             found = self._identify(frame, stamp_ns)
@@ -102,11 +99,6 @@ class FrameIdentifier:
                 'spots': len(number), 'stars': int(np.count_nonzero(number))})
             yield number
 
-    def take_notices(self) -> list[str]:
-        """Return what happened that a user should know, once."""
-        notices, self._notices = self._notices, []
-        return notices
-
     def take_counts(self) -> Counter[str]:
         """Return what has been done since the last call."""
         counts, self._counts = self._counts, Counter()
@@ -115,7 +107,7 @@ class FrameIdentifier:
     def _identify(self, frame: Frames, stamp_ns: int) -> Identification | None:
         turn, last, self._last = None, self._last, frame
         if last is not None and stamp_ns > last.stamp_ns[0]:
-            gyro = self._gyro_since(int(last.stamp_ns[0]))
+            gyro = self._gyro.since(int(last.stamp_ns[0]))
             _, turn = from_gyro(gyro, Frames.concatenate((last, frame)), self._scenario)
         with np.errstate(over='ignore', invalid='ignore'):       # a magnitude may be anything
             flux = 10.0**(-0.4 * frame.magnitude)
@@ -123,16 +115,5 @@ class FrameIdentifier:
         try:
             return self._identifier.identify(frame.uv_raster, flux, stamp_ns, turn, frame.sigma)
         except MirroredError as error:
-            self._notices.append(str(error))
+            self._notices.say(str(error))
             return None
-
-    def _gyro_since(self, stamp_ns: int) -> GyroSamples:
-        """Return the readings that cover the time since a stamp, and forget older ones."""
-        gyro = GyroSamples.concatenate(self._gyro)
-        first = max(int(np.searchsorted(gyro.stamp_ns, stamp_ns, side='right')) - 1, 0)
-        self._gyro = [gyro[first:]]
-        return self._gyro[0]
-
-    def _before(self, stamp_ns: Ints) -> Ints:
-        """Return the newest stamp before each of those of some readings."""
-        return np.maximum.accumulate(np.concatenate(([self._gyro_ns], stamp_ns)))[:-1]

@@ -44,6 +44,11 @@ class GyroSamples:
         """Return some of the samples, given by number or by a mask."""
         return GyroSamples(self.stamp_ns[rows], self.rate[rows])
 
+    @property
+    def finite(self) -> Mask:
+        """Which readings are numbers, (n,)."""
+        return np.asarray(np.isfinite(self.rate).all(axis=-1))
+
     @classmethod
     def empty(cls) -> GyroSamples:
         """Return no samples."""
@@ -109,6 +114,11 @@ class Frames:
                       self.magnitude[star], self.catalog_id[star])
 
     @property
+    def frame_index(self) -> Ints:
+        """Frame of each star, (n_stars,), from 0."""
+        return np.repeat(np.arange(len(self)), self.star_counts)
+
+    @property
     def star_counts(self) -> Ints:
         """Number of stars in each frame, (n_frames,)."""
         return np.diff(self.first)
@@ -150,8 +160,6 @@ class Stars(NamedTuple):
     uv: Array
     sigma: Array
 
-
-def newer(stamps_ns: Ints, last_ns: int) -> Mask:
-    """Tell which stamps are larger than all before them and than `last_ns`."""
-    before = np.concatenate(([last_ns], np.maximum.accumulate(stamps_ns)))[:-1]
-    return stamps_ns > np.maximum(before, last_ns)
+    def take(self, rows: int | slice | Mask | Ints) -> Stars:
+        """Return some of the stars of a frame, or the frame of one run of a batch."""
+        return Stars(self.u_i[rows], self.uv[rows], self.sigma[rows])

@@ -1,17 +1,15 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""From the messages of a star tracker to stars with places: what every calibration begins with."""
+"""From the messages of a star tracker to stars whose directions are known."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from starcal_ros.config.models import detector, observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
@@ -20,23 +18,7 @@ SIGMA_PX = (1e-4, 1e3)
 """Least and largest sigma of a centroid; outside, the arithmetic of a filter ends."""
 
 _OUTSIDE = 1.1              # a centroid may lie this far out, in halves of the detector
-_NAMED = 20                 # stars without a place that are named, at most
-
-
-class Placed(NamedTuple):
-    """The stars of some frames, end to end.
-
-    Attributes
-    ----------
-    stars : Stars
-        Their apparent places, centroids and sigmas; sigma is infinite where no place is known or
-        the centroid can not be used.
-    notices : list of (key, str)
-        What a user should know once; a key stands for what is the same.
-    """
-
-    stars: Stars
-    notices: list[tuple[object, str]]
+_NAMED = 20                 # stars of unknown place that are named, at most
 
 
 class StarDirections:
@@ -53,23 +35,35 @@ class StarDirections:
         self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
         self._observer = observer(scenario.observer)
 
-    def of(self, frames: Frames) -> Placed:
-        """Return the stars of many frames."""
+    def of(self, frames: Frames, notices: Notices | None = None) -> Stars:
+        """Return the stars of many frames, end to end.
+
+        Parameters
+        ----------
+        frames : Frames
+        notices : Notices, optional
+            Where it is said what can not be used.
+
+        Returns
+        -------
+        stars : Stars
+            Their apparent places, centroids and sigmas; sigma is infinite where no place is known
+            or the centroid can not be used.
+        """
         stars = catalog.load_containing(frames.catalog_id)
         row = stars.rows(frames.catalog_id)
-        frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-        uv, sigma, measured = self.centroids(frames)
+        uv, sigma, measured = self.centroids(frames, notices)
         usable = measured & (row >= 0)
         u_i = np.tile([0.0, 0.0, 1.0], (len(uv), 1))
         u_i[usable] = apparent_places(
             stars, row[usable], frames.stamp_ns,
-            np.bincount(frame[usable], minlength=len(frames)), self._observer)
-        return Placed(
-            Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf)),
-            [*unmeasured(frames, sigma, measured),
-             *_unknown(frames.catalog_id[measured & (row < 0)])])
+            np.bincount(frames.frame_index[usable], minlength=len(frames)), self._observer)
+        if notices is not None:
+            _name_unknown(frames.catalog_id[measured & (row < 0)], notices)
+        return Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf))
 
-    def centroids(self, frames: Frames) -> tuple[Array, Array, Mask]:
+    def centroids(self, frames: Frames, notices: Notices | None = None
+                  ) -> tuple[Array, Array, Mask]:
         """Return the centroids of frames as they can be used, with or without a place.
 
         Returns
@@ -85,22 +79,21 @@ class StarDirections:
         sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
         measured = (self._detector.contains(uv / _OUTSIDE)
                     & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        if notices is not None and not measured.all():
+            _name_unmeasured(frames, sigma, int(np.argmin(measured)), notices)
         return uv, sigma, measured
 
 
-def unmeasured(frames: Frames, sigma: Array, measured: Mask) -> Iterator[tuple[object, str]]:
-    """Yield the notice on the centroids that can not be used, if there are any."""
-    for k in np.flatnonzero(~measured)[:1]:
-        stamp_ns = frames.stamp_ns[np.searchsorted(frames.first, k, side='right') - 1]
-        u, v = frames.uv_raster[k]
-        yield 'star', (
-            f'star {frames.catalog_id[k]} of the frame at {stamp_ns} ns has u, v = {u:g}, {v:g} '
-            f'and sigma {sigma[k]:g}; needs a place on the detector and a sigma of '
-            '{:g} to {:g} px: left out'.format(*SIGMA_PX))
+def _name_unmeasured(frames: Frames, sigma: Array, k: int, notices: Notices) -> None:
+    u, v = frames.uv_raster[k]
+    notices.once('star', (
+        f'star {frames.catalog_id[k]} of the frame at {frames.stamp_ns[frames.frame_index[k]]} ns '
+        f'has u, v = {u:g}, {v:g} and sigma {sigma[k]:g}; needs a place on the detector and a '
+        'sigma of {:g} to {:g} px: unusable'.format(*SIGMA_PX)))
 
 
-def _unknown(numbers: Ints) -> Iterator[tuple[object, str]]:
+def _name_unknown(numbers: Ints, notices: Notices) -> None:
     for number in np.unique(numbers[numbers != 0])[:_NAMED].tolist():
-        yield number, f'star number {number} is not in the catalogue: left out'
+        notices.once(number, f'star number {number} is not in the catalogue: unusable')
     if (numbers == 0).any():
-        yield 0, 'stars without a number (catalog_id 0) are left out'
+        notices.once(0, 'stars without a catalogue number (catalog_id 0) are unusable')

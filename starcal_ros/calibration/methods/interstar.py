@@ -35,16 +35,17 @@ from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.units import NS
-from starcal_ros.measurements.samples import Frames, GyroSamples, newer
+from starcal_ros.measurements.gyro_buffer import GyroBuffer
+from starcal_ros.measurements.intake import GYRO_KEPT_NS
+from starcal_ros.measurements.notices import Notices
+from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.spot_tracker import SpotTracker
-from starcal_ros.measurements.star_directions import StarDirections, unmeasured
+from starcal_ros.measurements.star_directions import StarDirections
 
 FRAMES, WINDOWS = 64, 400
 APART = 1.0 / 32.0
 
 _SILENCE_S = 1.0        # how long frames wait for the gyro
-_GYRO_KEPT_S = 3600.0   # readings kept while no frame comes
-_NEVER_NS = np.iinfo(np.int64).min
 
 
 def start(scenario: Scenario, known: CameraEstimate | None = None) -> Interstar:
@@ -80,42 +81,27 @@ class Interstar:
         half_mm = 0.5 * np.hypot(size.width, size.height) * size.pitch_mm
         self._apart = APART * float(np.arctan(half_mm / nominal[2]))
         self._directions, self._tracker = StarDirections(scenario), SpotTracker(scenario)
-        self._newest_ns = _NEVER_NS
-        self._gyro = GyroSamples.empty()
-        self._waiting: list[Frames] = []
+        self._gyro = GyroBuffer()
+        self._waiting = Frames.empty()
         self._turn: Array | None = None                 # since the last frame that was kept
         self._open: list[Frame] = []                    # frames of a window that is not full yet
         self._windows: deque[Window] = deque(maxlen=WINDOWS)
         self._estimate: CameraEstimate | None = None
         self._changed = False                           # whether it lacks what has come since
-        self._notices: dict[object, str] = {}
-        self._said: set[object] = set()
+        self._notices = Notices()
+        self.take_notices = self._notices.take
 
     def add_gyro(self, samples: GyroSamples) -> None:
-        """Take gyro samples, in the order in which they arrived; T needs none."""
-        if self._traditional:
-            return
-        last = self._gyro.stamp_ns[-1] if len(self._gyro) else _NEVER_NS
-        finite = np.isfinite(samples.rate).all(axis=1)
-        good = GyroSamples(samples.stamp_ns[finite], samples.rate[finite])
-        fresh = newer(good.stamp_ns, last)
-        self._gyro = GyroSamples.concatenate((
-            self._gyro, GyroSamples(good.stamp_ns[fresh], good.rate[fresh])))
+        """Take gyro samples; T needs none."""
+        if not self._traditional:
+            self._gyro.add(samples)
 
     def add_frames(self, frames: Frames) -> None:
-        """Take frames, in the order in which they arrived."""
-        fresh = newer(frames.stamp_ns, self._newest_ns)
-        if not fresh.all():
-            self._notices['order'] = (f'frame at {frames.stamp_ns[~fresh][0]} ns is not newer '
-                                      'than the one before: dropped')
-        frames = frames.take(fresh)
-        if not len(frames):
-            return
-        self._newest_ns = int(frames.stamp_ns[-1])
+        """Take frames."""
         if self._traditional:
             self._take_identified(frames)
         else:
-            self._waiting.append(frames)
+            self._waiting = Frames.concatenate((self._waiting, frames))
 
     def estimate(self) -> CameraEstimate | None:
         """Return the camera from all frames that have come."""
@@ -125,26 +111,18 @@ class Interstar:
             windows = [*self._windows, *([self._window()] if self._open else [])]
             found = self._fit.solve(windows)
             if found is None and self._windows:
-                self._notices['none'] = (
+                self._notices.once('none', (
                     f'{len(windows)} windows of {FRAMES} frames do not tell the camera yet: it '
-                    'needs stars in other parts of the field, or fewer intrinsics.estimate')
+                    'needs stars in other parts of the field, or fewer intrinsics.estimate'))
             self._estimate = None if found is None else CameraEstimate(
                 *found, sum(int(window.seen.any(axis=-1).sum()) for window in windows),
                 sum(int(window.seen.sum()) for window in windows))
         return self._estimate
 
-    def take_notices(self) -> list[str]:
-        """Return what happened that a user should know, once."""
-        notices = [text for key, text in self._notices.items() if key not in self._said]
-        self._said.update(self._notices)
-        self._notices.clear()
-        return notices
-
     # Coming in
 
     def _take_identified(self, frames: Frames) -> None:
-        stars, notices = self._directions.of(frames)
-        self._notices.update(notices)
+        stars = self._directions.of(frames, self._notices)
         usable = np.isfinite(stars.sigma)
         for low, high in zip(frames.first[:-1], frames.first[1:]):
             rows = low + np.flatnonzero(usable[low:high])
@@ -153,35 +131,26 @@ class Interstar:
 
     def _follow(self) -> None:
         """Follow the spots of the frames that the gyro has reached, or that waited in vain."""
-        stamps = self._gyro.stamp_ns
-        if not self._waiting:
-            if len(stamps):
-                self._forget_gyro_before(int(stamps[-1] - _GYRO_KEPT_S / NS))
+        frames = self._waiting
+        if not len(frames):
+            self._gyro.keep_last(GYRO_KEPT_NS)
             return
-        frames = Frames.concatenate(self._waiting)
-        reached = int(np.searchsorted(frames.stamp_ns, stamps[-1:].max(initial=_NEVER_NS),
-                                      side='right'))
+        reached = int(np.searchsorted(frames.stamp_ns, self._gyro.newest_ns, side='right'))
         ready = len(frames)
-        if len(stamps):
+        if len(self._gyro):
             overdue = frames.stamp_ns < frames.stamp_ns[-1] - _SILENCE_S / NS
             ready = max(reached, int(overdue.sum()))
-        self._take_followed(frames[:reached], self._gyro)
+        self._take_followed(frames[:reached], self._gyro.everything)
         self._take_followed(frames[reached:ready], None)
-        self._waiting = [frames[ready:]] if ready < len(frames) else []
+        self._waiting = frames[ready:]
         if ready:
-            self._forget_gyro_before(int(frames.stamp_ns[ready - 1]))
-
-    def _forget_gyro_before(self, stamp_ns: int) -> None:
-        # The reading at or before the stamp stays: the next one begins where it ends.
-        first = int(np.searchsorted(self._gyro.stamp_ns, stamp_ns, side='right')) - 1
-        self._gyro = self._gyro[max(first, 0):]
+            self._gyro.forget_before(int(frames.stamp_ns[ready - 1]))
 
     def _take_followed(self, frames: Frames, gyro: GyroSamples | None) -> None:
         if not len(frames):
             return
         followed = self._tracker.follow(frames, gyro)
-        uv, sigma, measured = self._directions.centroids(frames)
-        self._notices.update(unmeasured(frames, sigma, measured))
+        uv, sigma, _ = self._directions.centroids(frames, self._notices)
         for k, turn in enumerate(followed.turn):
             if self._turn is not None:
                 self._turn = turn @ self._turn

@@ -44,7 +44,7 @@ class HotPixels:
     def add(self, frames: Frames) -> Frames:
         """Return the frames with the hot pixels behind the stars of each."""
         count = len(self.uv_raster)
-        frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+        frame = frames.frame_index
         hip = np.zeros((len(frames), count), np.int64)
         for k, place in enumerate(self.uv_raster):
             distance = np.linalg.norm(frames.uv_raster - place, axis=-1)
@@ -59,7 +59,7 @@ class HotPixels:
 
 def _joined(a: Frames, b: Frames) -> Frames:
     """Return the stars of the same frames, those of `a` before those of `b`."""
-    frame = np.concatenate([np.repeat(np.arange(len(part)), part.star_counts) for part in (a, b)])
+    frame = np.concatenate([part.frame_index for part in (a, b)])
     order = np.argsort(frame, kind='stable')
     return Frames(a.stamp_ns, a.first + b.first, *(
         np.concatenate((getattr(a, name), getattr(b, name)))[order]

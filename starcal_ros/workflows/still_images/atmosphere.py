@@ -41,10 +41,10 @@ def without_air(measured: Frames, freed: Frames, C_si: Array, intrinsics: Array,
     site : Site
         Where the images were taken.
     """
-    placed = StarDirections(scenario).of(freed)
-    usable = bundle_start.usable(freed, placed)
-    frame = np.repeat(np.arange(len(freed)), freed.star_counts)[usable]
-    u_i = placed.stars.u_i[usable]
+    stars = StarDirections(scenario).of(freed)
+    usable = bundle_start.usable(freed, stars)
+    frame = freed.frame_index[usable]
+    u_i = stars.u_i[usable]
     C = C_si[np.unique(frame, return_inverse=True)[1]]
 
     def seen(places: Array) -> Array:
@@ -69,8 +69,8 @@ def without_low_stars(frames: Frames, scenario: Scenario, site: Site
     low : int
         Stars whose number was taken.
     """
-    stars = StarDirections(scenario).of(frames).stars
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
+    stars = StarDirections(scenario).of(frames)
+    frame = frames.frame_index
     known = np.isfinite(stars.sigma)
     height = np.full(len(frame), np.inf)
     height[known] = np.degrees(altitude(stars.u_i[known], frames.stamp_ns[frame[known]], site))

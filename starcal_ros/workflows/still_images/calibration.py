@@ -136,10 +136,10 @@ def focal_length_px(images: StillImages, width: int, height: int) -> float:
     the median over the pairs of neighbours in the tables cares for no wrong star.
     """
     frames = images.frames
-    placed = StarDirections(scenario_of(width, height, width, 'bundle')).of(frames)
-    frame = np.repeat(np.arange(len(frames)), frames.star_counts)
-    known = np.isfinite(placed.stars.sigma)
-    frame, uv, u_i = frame[known], frames.uv_raster[known], placed.stars.u_i[known]
+    stars = StarDirections(scenario_of(width, height, width, 'bundle')).of(frames)
+    frame = frames.frame_index
+    known = np.isfinite(stars.sigma)
+    frame, uv, u_i = frame[known], frames.uv_raster[known], stars.u_i[known]
     pairs = frame[1:] == frame[:-1]
     angle = 2.0 * np.arcsin(0.5 * np.linalg.norm(np.diff(u_i, axis=0), axis=-1)[pairs])
     length = np.linalg.norm(np.diff(uv, axis=0), axis=-1)[pairs]
@@ -167,7 +167,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
     measured, result = images.frames, None
     for _ in range(_ROUNDS if site is None else _ROUNDS_IN_AIR):
         fitted, held = (images.which(part) for part in (~images.heldout, images.heldout))
-        method = calibration.start(scenario)
+        method = calibration.method(scenario)
         method.add_frames(fitted.frames)
         estimate = method.estimate()
         if estimate is None:
@@ -197,12 +197,12 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
 def refit(images: StillImages, estimate: CameraEstimate, scenario: Scenario) -> Refit | None:
     """Fit the attitudes alone, the camera held; None where no image has stars enough."""
     frames = images.frames
-    placed = StarDirections(scenario).of(frames)
-    spots = bundle_start.identified(frames, placed)
+    stars = StarDirections(scenario).of(frames)
+    spots = bundle_start.identified(frames, stars)
     if not len(spots.frame):
         return None
-    image = np.repeat(np.arange(len(frames)), frames.star_counts)
-    enough = np.bincount(image, np.isfinite(placed.stars.sigma),
+    image = frames.frame_index
+    enough = np.bincount(image, np.isfinite(stars.sigma),
                          len(frames)) >= bundle_adjustment.MIN_STARS
     pitch_mm = scenario.camera.pixel_pitch_mm
     r_s = camera.unproject(spots.uv, estimate.intrinsics, pitch_mm)

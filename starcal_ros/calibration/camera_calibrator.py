@@ -1,0 +1,60 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A method that calibrates the camera alone, run on messages as they arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from starcal_ros.calibration.method import CameraMethod
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.measurements.intake import Change, Intake
+from starcal_ros.measurements.notices import Notices
+from starcal_ros.measurements.samples import Frames, GyroSamples
+
+
+class CameraCalibrator:
+    """Hands a method the messages that are believed, in order; itself a `CameraMethod`.
+
+    Where the clock was set back the calibration starts again: frames that are sent once more tell
+    nothing new.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Rates of gyro and star tracker.
+    begin : callable
+        Returns the method at its beginning.
+    """
+
+    def __init__(self, scenario: Scenario, begin: Callable[[], CameraMethod]) -> None:
+        self._begin, self._method = begin, begin()
+        self._notices = Notices()
+        self._intake = Intake(scenario, self._notices)
+
+    def add_gyro(self, samples: GyroSamples) -> None:
+        """Take gyro samples, in the order in which they arrived."""
+        self._intake.add_gyro(samples)
+
+    def add_frames(self, frames: Frames) -> None:
+        """Take frames, in the order in which they arrived."""
+        self._intake.add_frames(frames)
+
+    def estimate(self) -> CameraEstimate | None:
+        """Return the camera from all that has come so far; None while there is nothing to say."""
+        self._hand_over()
+        while change := self._intake.settle():
+            if change is Change.RESTARTED:
+                self._method = self._begin()
+            self._hand_over()
+        return self._method.estimate()
+
+    def take_notices(self) -> list[str]:
+        """Return what happened that a user should know, once."""
+        return self._notices.take() + self._method.take_notices()
+
+    def _hand_over(self) -> None:
+        gyro, frames = self._intake.take()
+        self._method.add_gyro(gyro)
+        self._method.add_frames(frames)
