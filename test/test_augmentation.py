@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +12,15 @@ from scipy.stats import chi2
 
 from starcal_ros.config import parameter_file
 from starcal_ros.core import kalman, rotation
+from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import augmentation
+from starcal_ros.filter.augmentation import NONE
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.states import (AUGMENTED, MATRIX, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
-                                       THETA)
+from starcal_ros.filter.gyro_matrix import sensitivity
+from starcal_ros.filter.optional_state import Looked, OptionalState
+from starcal_ros.filter.states import N_STATES, PHI, PSI, SCALE, STATE_NAMES, THETA
 from starcal_ros.filter.verdict import judge
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import GyroSamples, Stars
@@ -31,7 +35,8 @@ BOTH_ON = {**MATRIX_ON, **OFFSET_ON}
 FILTER = Filter(SCENARIO.replace(BOTH_ON))
 QUIET = Filter(SCENARIO.replace({**BOTH_ON, 'gyro.arw_deg_sqrt_h': 0.0}))
 PERIOD_NS = 10**7
-NAMES = (*STATE_NAMES, *augmentation.names(10))
+NAMES = (*STATE_NAMES, *FILTER.augmentation.names)
+MATRIX, AUGMENTED = slice(16, 25), slice(16, None)      # where they stand with both on
 # What the finite differences step by, in the terms of the filter.
 STEP = np.array([*(1e-6,) * 3, *(1e-7,) * 3, *(1e-6,) * 3, 1.0, 1.0, 1e-3, 1e-4, 1e-6, 1e-4, 1e-4,
                  *(1e-5,) * 9, 1e-4])
@@ -47,7 +52,7 @@ def some_values(seed=1, ppm=5000.0, batch=()):
                    1e-7 * rng.normal(size=(*batch, 3)),
                    rotation.exp(rng.normal(size=(*batch, 3))),
                    lens * rng.uniform(0.95, 1.05, (*batch, 7)), augmented,
-                   0.01 * rng.normal(size=(*batch, 3)))
+                   0.01 * rng.normal(size=(*batch, 3)), FILTER.augmentation)
 
 
 def some_root(batch=()):
@@ -91,9 +96,45 @@ def test_states_are_appended_where_their_sigma_is_given(options, m):
     expected = [1e-3] * (9 * bool(MATRIX_ON.keys() & options)) + [0.02] * bool(
         OFFSET_ON.keys() & options)
     np.testing.assert_allclose(belief.augmented_sigma, expected, rtol=1e-12)
-    assert len(augmentation.names(m)) == len(augmentation.units(m)) == m
+    assert len(filter_.augmentation.names) == len(filter_.augmentation.units) == m
+    assert filter_.augmentation.size == m and len(filter_.scale) == 16 + m
     assert belief.covariance.shape == belief.state_root.shape == (16, 16)
     assert belief.sigma.shape == (16,)
+
+
+class Bowed(OptionalState):
+    """A state that nobody has built in: the camera nods about x by a constant angle."""
+
+    key = 'bow_sigma_arcsec'
+    names = ('bow_arcsec',)
+    unit = ARCSEC
+
+    def looked(self, values, C_sg, rate_g):
+        x = np.array([1.0, 0.0, 0.0])
+        return Looked(rotation.exp(values * x), np.broadcast_to(
+            x[:, None], (*values.shape[:-1], 3, 1)))
+
+
+def test_a_further_state_is_one_entry(monkeypatch):
+    """It has its sigma, its name, its column in H, against differences, beside the other two."""
+    monkeypatch.setattr(augmentation, 'STATES', (*augmentation.STATES, Bowed()))
+    on = augmentation.Augmentation.of(SimpleNamespace(
+        gyro_matrix_sigma_ppm=1000.0, time_offset_sigma_s=0.02, bow_sigma_arcsec=30.0))
+    assert on.size == 11 and on.names[-2:] == ('tau_s', 'bow_arcsec') and on.units[-1] == ARCSEC
+    values = replace(some_values(), augmentation=on, augmented=np.append(
+        some_values().augmented, 20.0 * ARCSEC))
+    u_i = places(values)
+    uv, H, _ = FILTER.predict_centroids(values, u_i)
+    assert H.shape == (12, 2, 27)
+    for k, step in enumerate([*STEP, 1e-5]):
+        error = step * np.eye(27)[k]
+        numeric = (FILTER.predict_centroids(values.without(-error), u_i)[0]
+                   - FILTER.predict_centroids(values.without(error), u_i)[0]) / (2.0 * step)
+        if k in (0, 1, 2, *range(9, 16), 25, 26):       # what a frame depends on directly
+            np.testing.assert_allclose(H[..., k], numeric, rtol=1e-5, atol=1e-5 * np.abs(
+                numeric).max())
+    error = values.minus(replace(values, augmented=np.zeros(11)))
+    np.testing.assert_allclose(error[25:], values.augmented[9:], rtol=1e-12)
 
 
 def test_covariance_of_the_16_is_the_marginal_one():
@@ -136,7 +177,7 @@ def test_a_turn_of_g_can_not_be_seen_wherever_the_estimate_is():
         truth = some_values(seed)
         sigma = np.array([1e-6, -2e-6, 3e-6])
         R = rotation.exp(truth.C_sg.T @ sigma)
-        M = augmentation.matrix(truth.augmented) @ R.T - np.eye(3)
+        M = sensitivity(truth.augmented[:9]) @ R.T - np.eye(3)
         turned = replace(truth, C_gi=R @ truth.C_gi, C_sg=truth.C_sg @ R.T,
                          augmented=np.append(M, truth.augmented[9]))
         error = turned.minus(truth)
@@ -270,7 +311,8 @@ def test_batch_of_three_runs_equals_three_single_runs():
     turns = [interval(turning(seed)) for seed in range(3)]
 
     def one(k):
-        values = Nominal(*(getattr(nominal, name)[k] for name in nominal.__dataclass_fields__))
+        values = replace(nominal, **{name: part[k] for name, part in vars(nominal).items()
+                                     if isinstance(part, np.ndarray)})
         return Belief(values, start.error[k], start.root[k])
 
     u_i = np.stack([places(one(k).nominal) for k in range(3)])
@@ -300,7 +342,7 @@ def test_reacquired_belief_keeps_what_is_augmented():
 def test_belief_of_the_16_alone_goes_through_the_same_filter():
     """What looks ahead for T18's states takes their marginal covariance with it."""
     nominal = some_values()
-    belief = Belief(replace(nominal, augmented=np.empty(0)), np.zeros(16),
+    belief = Belief(replace(nominal, augmented=np.empty(0), augmentation=NONE), np.zeros(16),
                     kalman.marginal(some_root(), 16))
     turn, u_i = interval(turning(), with_matrix=False), places(nominal)
     frame = Stars(u_i, FILTER.predict_centroids(belief.nominal, u_i)[0], np.full(12, 0.05))
@@ -328,7 +370,8 @@ class Run:
         M = 1e-6 * ppm * rng.normal(size=(3, 3))
         true = Nominal(np.eye(3), simulated.bias, simulated.C_sg, simulated.intrinsics,
                        np.array([*M.ravel()[:9 * bool(MATRIX_ON.keys() & options)],
-                                 *[tau] * bool(OFFSET_ON.keys() & options)]))
+                                 *[tau] * bool(OFFSET_ON.keys() & options)]),
+                       augmentation=filter_.augmentation)
         if draw:
             sigma = filter_.initial_sigma.copy()
             sigma[THETA] = 0.0                  # the attitude is found from the stars
@@ -396,7 +439,7 @@ def test_time_offset_removes_the_bias_that_it_is_for(tau, late):
     assert np.abs(blind.normalised[3:]).max() > 8.0
     run = late if tau > 0.0 else Run(OFFSET_ON, 550.0, tau=tau)
     errors = run.normalised
-    names = (*STATE_NAMES, *augmentation.names(1))
+    names = (*STATE_NAMES, *run.calibrator.filter.augmentation.names)
     assert [name for name, error in zip(names, errors) if abs(error) > 3.5] == []
     assert run.calibrator.belief.augmented_sigma[0] < 1e-4             # of 20 ms at first
 

@@ -116,7 +116,7 @@ def test_bounds_at_several_times_are_those_of_runs_of_these_lengths():
 
 def apparent(scenario, frames: Frames):
     """Return the apparent places of the stars of frames."""
-    return StarDirections(scenario).of(frames).stars.u_i
+    return StarDirections(scenario).of(frames).u_i
 
 
 # The filter

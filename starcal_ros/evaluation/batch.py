@@ -194,7 +194,7 @@ class _Gyro:
         first = int(np.searchsorted(samples.stamp_ns, cuts_ns[-1], side='right')) - 1
         self._kept = samples[max(first, 0):]
         return preintegrate(samples, cuts_ns, filter_.start.bias, 1e9 / rate_hz,
-                            filter_.has_matrix)
+                            filter_.augmentation.needs_matrix)
 
 
 def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
@@ -228,8 +228,7 @@ def _acquired(filter_: Filter, frame: Stars) -> tuple[Belief, Stars]:
     """Find the attitude of each run and stack the beliefs."""
     found = [acquire(filter_, None, frame.take(run))
              for run in range(len(frame.sigma))]
-    nominal = Nominal(*(np.stack([getattr(belief.nominal, field.name) for belief, _ in found])
-                        for field in fields(Nominal)))
+    nominal = Nominal.stacked([belief.nominal for belief, _ in found])
     return (Belief(nominal, np.stack([belief.error for belief, _ in found]),
                    np.stack([belief.root for belief, _ in found])),
             frame._replace(sigma=np.stack([stars.sigma for _, stars in found])))

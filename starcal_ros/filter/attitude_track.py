@@ -10,10 +10,9 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
-from starcal_ros.filter import augmentation
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.states import EPSILON, MATRIX, PHI
+from starcal_ros.filter.states import EPSILON, PHI
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import GyroSamples
 
@@ -93,7 +92,7 @@ class AttitudeTracker:
         self._given_ns = int(samples.stamp_ns[-1])
         pieces = preintegration.cut(
             gyro, np.array([reached.stamp_ns, self._given_ns]), self._period_ns)
-        gain = augmentation.gain(estimate.augmented)
+        gain = estimate.augmentation.gain(estimate.augmented)
         C_gi = preintegration.track(reached.C_gi, pieces, estimate.bias, gain)
         # A sample at the stamp from which the integration goes on is there without a step.
         ends = np.concatenate(([reached.stamp_ns], pieces.end_ns))
@@ -107,9 +106,10 @@ class AttitudeTracker:
         rows = np.searchsorted(ends, samples.stamp_ns)
         elapsed = (samples.stamp_ns - frame_ns)[:, None, None] * NS
         root = states[PHI] + elapsed * (estimate.C_gi.T @ states[EPSILON])
-        if augmentation.has_matrix(estimate.augmented.shape[-1]):
-            by_row = states[MATRIX].reshape(3, 3, -1)
-            root = root + estimate.C_gi.T @ np.einsum('kj,ijn->kin', turn[rows], by_row)
+        for state, _, among in estimate.augmentation.errors():
+            slope = state.integrated(turn[rows])
+            if slope is not None:
+                root = root + estimate.C_gi.T @ (slope @ states[among])
         spread = (self.filter.walk**2 * elapsed + self.filter.density[0]**2 * elapsed**3 / 3.0
                   + (self.filter.gap_acceleration * gap_turn[rows, None, None])**2)
         return AttitudeTrack(samples.stamp_ns, C_gi[rows],

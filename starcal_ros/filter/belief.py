@@ -4,17 +4,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from starcal_ros.core import kalman, rotation
 from starcal_ros.core.arrays import Array
-from starcal_ros.filter import augmentation
-from starcal_ros.filter.states import AUGMENTED, EPSILON, LENS, N_STATES, PHI, PSI, SCALE, THETA
-
-SCALES = np.append(SCALE, augmentation.SCALE)
-"""What the filter divides each state by, the augmented ones included."""
+from starcal_ros.filter.augmentation import NONE, Augmentation
+from starcal_ros.filter.states import EPSILON, LENS, N_STATES, PHI, PSI, SCALE, THETA
 
 
 @dataclass(frozen=True)
@@ -32,9 +30,11 @@ class Nominal:
     intrinsics : (..., 7) array
         Camera, as in `starcal_ros.core.camera`.
     augmented : (..., m) array
-        What `augmentation` adds to these, if anything.
+        Values of the optional states that are on.
     reading : (..., 3) array
-        The gyro's reading at the stamp, for the time offset [rad/s].
+        The gyro's reading at the stamp, bias included [rad/s]; optional states may need it.
+    augmentation : Augmentation
+        Which optional states are on.
     """
 
     C_gi: Array
@@ -43,6 +43,15 @@ class Nominal:
     intrinsics: Array
     augmented: Array = field(default_factory=lambda: np.empty(0))
     reading: Array = field(default_factory=lambda: np.zeros(3))
+    augmentation: Augmentation = NONE
+
+    @classmethod
+    def stacked(cls, runs: Sequence[Nominal]) -> Nominal:
+        """Return the values of some runs of one filter as those of a batch."""
+        C_gi, bias, C_sg, intrinsics, augmented, reading = (
+            np.stack([getattr(run, name) for run in runs])
+            for name in ('C_gi', 'bias', 'C_sg', 'intrinsics', 'augmented', 'reading'))
+        return cls(C_gi, bias, C_sg, intrinsics, augmented, reading, runs[0].augmentation)
 
     @property
     def C_si(self) -> Array:
@@ -54,19 +63,23 @@ class Nominal:
         turn = rotation.exp(-np.stack((error[..., THETA], error[..., PSI])))
         C_sg = rotation.orthonormalized(turn[1] @ self.C_sg)
         C_gi = rotation.orthonormalized(np.swapaxes(C_sg, -1, -2) @ turn[0] @ self.C_si)
-        return Nominal(C_gi, self.bias - error[..., EPSILON], C_sg,
-                       self.intrinsics - error[..., LENS],
-                       augmentation.freed(self.augmented, error[..., AUGMENTED], self.C_sg),
-                       self.reading)
+        augmented = [state.freed(self.augmented[..., place], error[..., among], self.C_sg)
+                     for state, place, among in self.augmentation.errors()]
+        return replace(
+            self, C_gi=C_gi, bias=self.bias - error[..., EPSILON], C_sg=C_sg,
+            intrinsics=self.intrinsics - error[..., LENS],
+            augmented=np.concatenate(augmented, axis=-1) if augmented else self.augmented)
 
     def minus(self, truth: Nominal) -> Array:
         """Return the error (..., 16 + m) of these values, its attitude part theta."""
+        augmented = [
+            state.error(self.augmented[..., place], truth.augmented[..., place], self.C_sg)
+            for state, place in self.augmentation.places]
         return np.concatenate((
             rotation.log(self.C_si @ np.swapaxes(truth.C_si, -1, -2)),
             self.bias - truth.bias,
             rotation.log(self.C_sg @ np.swapaxes(truth.C_sg, -1, -2)),
-            self.intrinsics - truth.intrinsics,
-            augmentation.error(self.augmented, truth.augmented, self.C_sg)), axis=-1)
+            self.intrinsics - truth.intrinsics, *augmented), axis=-1)
 
 
 @dataclass(frozen=True)
@@ -95,12 +108,12 @@ class Belief:
     @property
     def whole_root(self) -> Array:
         """Root of the covariance, (..., n, n), in the filter's units, the attitude part phi."""
-        root = self.root * SCALES[:self.root.shape[-1], None]
+        root = self.root * self.nominal.augmentation.scale[:, None]
         C_is = np.swapaxes(self.nominal.C_si, -1, -2)
         root[..., PHI, :] = C_is @ (root[..., THETA, :] - root[..., PSI, :])
-        if root.shape[-1] > N_STATES:
-            root[..., AUGMENTED, :] = augmentation.outer(
-                root[..., AUGMENTED, :], self.nominal.augmented, self.nominal.C_sg)
+        for state, place, among in self.nominal.augmentation.errors():
+            root[..., among, :] = state.outer(
+                root[..., among, :], self.nominal.augmented[..., place], self.nominal.C_sg)
         return root
 
     @property
@@ -123,7 +136,7 @@ class Belief:
     @property
     def augmented_sigma(self) -> Array:
         """Standard deviation of the augmented states, (..., m), in the filter's units."""
-        return np.linalg.norm(self.whole_root[..., AUGMENTED, :], axis=-1)
+        return np.linalg.norm(self.whole_root[..., N_STATES:, :], axis=-1)
 
     @property
     def tracker_sigma(self) -> Array:
@@ -132,5 +145,5 @@ class Belief:
 
     def nees(self, truth: Nominal) -> Array:
         """Return the normalised estimation error squared, (...), of n degrees of freedom."""
-        error = self.estimate.minus(truth) / SCALES[:self.root.shape[-1]]
+        error = self.estimate.minus(truth) / self.nominal.augmentation.scale
         return np.sum(np.linalg.solve(self.root, error[..., None])**2, axis=(-2, -1))

@@ -25,7 +25,6 @@ from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
-from starcal_ros.filter import augmentation
 from starcal_ros.filter.acquisition import AcquisitionError, acquire
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief
@@ -231,7 +230,7 @@ class Calibrator:
             return self.stamp_ns, estimate.C_gi
         pieces = preintegration.cut(
             self._gyro.since(self.stamp_ns), np.array([self.stamp_ns, last]), self._period_ns)
-        gain = augmentation.gain(estimate.augmented)
+        gain = estimate.augmentation.gain(estimate.augmented)
         return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
 
     @property
@@ -274,7 +273,7 @@ class Calibrator:
         cuts = np.concatenate(([begin], frames.stamp_ns))
         gyro = preintegration.preintegrate(
             self._gyro.since(begin), cuts, self.filter.start.bias, self._period_ns,
-            self.filter.has_matrix)
+            self.filter.augmentation.needs_matrix)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             rows = slice(frames.first[k], frames.first[k + 1])
             frame = stars.take(rows)

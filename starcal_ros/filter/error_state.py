@@ -58,15 +58,14 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, kalman, rotation
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, SQRT_HOUR
-from starcal_ros.filter import augmentation, process_noise
-from starcal_ros.filter.belief import SCALES, Belief, Nominal
-from starcal_ros.filter.states import (CALIBRATED, EPSILON, LENS, MATRIX, N_STATES, PSI, SCALE,
-                                       THETA, UNIT)
+from starcal_ros.filter import process_noise
+from starcal_ros.filter.augmentation import Augmentation
+from starcal_ros.filter.belief import Belief, Nominal
+from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
 _FIELD = 1.5            # a star may be predicted this far out, in half diagonals
-_RESCALE = SCALES / SCALES[:, None]
 
 SIGMA_ACQUIRED = 1.0 * DEG
 """Attitude sigma given to a first fix: wide against its error, so that the frame's own update,
@@ -115,17 +114,16 @@ class Filter:
         self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
         self.gate = star_gate(options)
         self.feedback = options.feedback
-        augmented = augmentation.initial_sigma(options.augment)
+        self.augmentation = Augmentation.of(options.augment)
         self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
                              mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
-                             np.zeros_like(augmented))
+                             np.zeros(self.augmentation.size), augmentation=self.augmentation)
         self.initial_sigma = np.concatenate((
             np.full(3, SIGMA_ACQUIRED), of_calibrated(options.initial_sigma) * UNIT[CALIBRATED],
-            augmented))
+            self.augmentation.initial_sigma(options.augment)))
         self.tolerance = of_calibrated(options.tolerance) * UNIT[CALIBRATED]
         self.density = of_calibrated(options.process_noise) * UNIT[CALIBRATED] / SQRT_HOUR
-        self.has_matrix = augmentation.has_matrix(len(augmented))
-        self.scale = SCALES[:len(self.initial_sigma)]
+        self.scale = self.augmentation.scale
         self._start_root = np.diag(self.initial_sigma / self.scale)
         if covariance is not None:
             self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
@@ -137,9 +135,11 @@ class Filter:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
         batch, n, start = C_gi.shape[:-2], len(self.scale), self.start
         root = np.broadcast_to(self._start_root, (*batch, n, n))
-        nominal = Nominal(C_gi, *(
+        bias, C_sg, intrinsics, augmented = (
             np.broadcast_to(part, (*batch, *part.shape))
-            for part in (start.bias, start.C_sg, start.intrinsics, start.augmented)))
+            for part in (start.bias, start.C_sg, start.intrinsics, start.augmented))
+        nominal = Nominal(C_gi, bias, C_sg, intrinsics, augmented,
+                          augmentation=self.augmentation)
         return Belief(nominal, np.zeros((*batch, n)), root)
 
     def reacquired(self, belief: Belief, C_gi: Array) -> Belief:
@@ -159,11 +159,17 @@ class Filter:
         belief : Belief
             At the beginning of the interval.
         gyro : Preintegrated
-            For the bias ``start.bias``, with the derivative by M where it is a state.
+            For the bias ``start.bias``, with the derivative by M where `augmentation` needs it.
         """
         nominal, batch, n = belief.nominal, belief.error.shape[:-1], belief.error.shape[-1]
-        turn, J = augmentation.relinearized(
-            gyro.J, nominal.bias - self.start.bias, nominal.augmented, nominal.C_sg)
+        d, J_b = nominal.bias - self.start.bias, gyro.J[..., :3]
+        turn = _times(J_b, d)
+        slopes: list[tuple[slice, Array]] = []
+        for state, place, among in nominal.augmentation.errors():
+            turned = state.turned(gyro.J, d, nominal.augmented[..., place], nominal.C_sg)
+            if turned is not None:
+                turn, J_b = turn + turned.turn, turned.J_b
+                slopes.append((among, turned.J))
         Delta = gyro.Delta @ rotation.exp(turn)
         C_gi = rotation.orthonormalized(Delta @ nominal.C_gi)
         C_s1g0 = nominal.C_sg @ Delta
@@ -172,18 +178,18 @@ class Filter:
         Phi[..., range(n), range(n)] = 1.0
         Phi[..., THETA, THETA] = C_s1s0
         Phi[..., THETA, PSI] = np.eye(3) - C_s1s0
-        Phi[..., THETA, EPSILON] = B = C_s1g0 @ J[..., :3]
-        if augmentation.has_matrix(n - N_STATES):
-            Phi[..., THETA, MATRIX] = C_s1g0 @ J[..., 3:]
-        error = (Phi @ belief.error[..., None])[..., 0]
+        Phi[..., THETA, EPSILON] = B = C_s1g0 @ J_b
+        for among, J in slopes:
+            Phi[..., THETA, among] = C_s1g0 @ J
+        error = _times(Phi, belief.error)
         sigma = np.sqrt(self.walk**2 * gyro.duration
                         + (self.gap_acceleration * gyro.gap_turn)**2)
         Q_root = np.zeros((*batch, n, 3))
         Q_root[..., range(3), range(3)] = (sigma / SCALE[0])[..., None]
         if self.density.any():
             Q_root = np.concatenate((Q_root, process_noise.root(
-                self.density, B, gyro.duration, n) / SCALES[:n, None]), axis=-1)
-        root = kalman.predict(belief.root, Phi * _RESCALE[:n, :n], Q_root)
+                self.density, B, gyro.duration, n) / nominal.augmentation.scale[:, None]), axis=-1)
+        root = kalman.predict(belief.root, Phi * nominal.augmentation.rescale, Q_root)
         return Belief(replace(nominal, C_gi=C_gi, reading=gyro.reading), error, root)
 
     def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
@@ -205,24 +211,36 @@ class Filter:
         in_view : (..., n) bool array
             False for a star that lies well outside the field of view; its row means nothing.
         """
-        C_si, m = nominal.C_si, nominal.augmented.shape[-1]
-        if augmentation.has_offset(m):
-            rate_s, shift = augmentation.shift(
-                nominal.augmented, nominal.C_sg, nominal.reading - nominal.bias)
-            C_si = shift @ C_si
+        C_si, shift, slopes = self._seen(nominal)
         r_s = u_i @ np.swapaxes(C_si, -1, -2)
         # Far outside the field the distortion means nothing, and its uncertainty everything.
         in_view = r_s[..., 2] > self._cos_field * np.sqrt(np.sum(r_s * r_s, axis=-1))
         if not in_view.all():
             r_s = np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0))
         uv, H_s, H_intrinsics = camera.linearize(r_s, nominal.intrinsics, self.detector.pitch_mm)
-        H = np.zeros((*H_s.shape[:-1], N_STATES + m))
+        H = np.zeros((*H_s.shape[:-1], len(nominal.augmentation.scale)))
         H[..., THETA] = H_s
         H[..., LENS] = H_intrinsics
-        if augmentation.has_offset(m):
+        if slopes:
             H[..., THETA] = H_s @ shift[..., None, :, :]
-            H[..., -1] = -_apply(H_s, rate_s)
+        for among, slope in slopes:
+            H[..., among] = H_s @ slope[..., None, :, :]
         return uv, H, in_view
+
+    @staticmethod
+    def _seen(nominal: Nominal) -> tuple[Array, Array, list[tuple[slice, Array]]]:
+        """Return the C_si of a frame, what the optional states turn it by, and their slopes."""
+        shift: Array = np.eye(3)
+        slopes: list[tuple[slice, Array]] = []
+        if nominal.augmentation.on:
+            rate_g = _times(nominal.augmentation.gain(nominal.augmented),
+                            nominal.reading - nominal.bias)
+            for state, place, among in nominal.augmentation.errors():
+                looked = state.looked(nominal.augmented[..., place], nominal.C_sg, rate_g)
+                if looked is not None:
+                    slopes.append((among, shift @ looked.slope))
+                    shift = shift @ looked.C
+        return (shift @ nominal.C_si if slopes else nominal.C_si), shift, slopes
 
     def update(self, belief: Belief, stars: Stars, gated: bool = True) -> Update:
         """Correct a belief with a frame (T18 Eq. 23 to 26).
@@ -237,7 +255,7 @@ class Filter:
             Reject stars whose chi-square lies outside the gate.
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
-        z, scale = uv - stars.uv, SCALES[:H.shape[-1]]
+        z, scale = uv - stars.uv, belief.nominal.augmentation.scale
         innovation = kalman.innovate(belief.root, H * scale, z - _apply(H, belief.error),
                                      stars.sigma)
         usable = in_view & np.isfinite(stars.sigma)
@@ -249,6 +267,11 @@ class Filter:
         if self.feedback:
             nominal, error = nominal.without(error), np.zeros_like(error)
         return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual)
+
+
+def _times(A: Array, x: Array) -> Array:
+    """Return A x, (..., n), of A (..., n, k) and x (..., k)."""
+    return (A @ x[..., None])[..., 0]
 
 
 def _apply(H: Array, x: Array) -> Array:

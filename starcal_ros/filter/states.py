@@ -12,7 +12,6 @@ from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
 PHI, EPSILON, PSI, LENS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 16)
 THETA = PHI                                     # the same three places inside the filter
 N_STATES = 16
-MATRIX, AUGMENTED = slice(16, 25), slice(16, None)      # where they are on
 CALIBRATED = slice(3, 16)                       # all but the attitude
 STATE_NAMES = ('phi_x', 'phi_y', 'phi_z', 'epsilon_x', 'epsilon_y', 'epsilon_z',
                'psi_x', 'psi_y', 'psi_z', *camera.INTRINSICS)

@@ -239,8 +239,9 @@ def _look_ahead(filter_: Filter, belief: Belief) -> Array:
     now = belief.estimate
     r_s = camera.unproject(uv, now.intrinsics, filter_.detector.pitch_mm)
     sigma = np.full((4, len(uv)), _LOOK_PX)
-    nominal = Nominal(*(np.broadcast_to(part, (4, *part.shape))
-                        for part in (now.C_gi, now.bias, now.C_sg, now.intrinsics)))
+    C_gi, bias, C_sg, intrinsics = (np.broadcast_to(part, (4, *part.shape)) for part in (
+        now.C_gi, now.bias, now.C_sg, now.intrinsics))
+    nominal = Nominal(C_gi, bias, C_sg, intrinsics)
     ahead = Belief(nominal, np.zeros((4, N_STATES)),
                    np.broadcast_to(kalman.marginal(belief.root, N_STATES),
                                    (4, N_STATES, N_STATES)))

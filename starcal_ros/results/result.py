@@ -17,7 +17,6 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
-from starcal_ros.filter import augmentation
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
@@ -83,10 +82,9 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
         'counts': dataclasses.asdict(counts),
         'provenance': provenance,
     }
-    m = estimate.augmented.shape[-1]
-    if m:
-        units = augmentation.units(m)
-        values['augmented'] = {'names': list(augmentation.names(m)),
+    if estimate.augmentation.on:
+        units = estimate.augmentation.units
+        values['augmented'] = {'names': list(estimate.augmentation.names),
                                'estimates': (estimate.augmented / units).tolist(),
                                'sigmas': (belief.augmented_sigma / units).tolist()}
     return values

@@ -1,0 +1,34 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Optional state: the time offset of the star tracker.
+
+Model
+-----
+A frame stamped t shows the sky of t + tau; tau is positive where frames are stamped early. With
+the rate omega_s, in s, of the gyro at the frame's stamp ::
+
+    r_s = exp(-[omega_s tau x]) C_sg C_gi r_i,    d r_s / d tau = -omega_s x r_s       (A.4)
+
+The rate is taken as constant over tau: at an angular acceleration alpha that misses
+alpha tau^2 / 2, 0.4 arcsec for 0.5 deg/s^2 and 20 ms. The derivatives of omega_s by b, Psi and M
+are neglected: each is the part omega tau, 1e-4 for 0.5 deg/s and 10 ms, of what the same state
+does over an interval.
+"""
+
+from __future__ import annotations
+
+from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
+from starcal_ros.filter.optional_state import Looked, OptionalState
+
+
+class TimeOffset(OptionalState):
+    """tau, one number [s]."""
+
+    key = 'time_offset_sigma_s'
+    names = ('tau_s',)
+
+    def looked(self, values: Array, C_sg: Array, rate_g: Array) -> Looked:
+        """Return how far the star tracker turns in tau, and its rate (A.4)."""
+        omega_s = (C_sg @ rate_g[..., None])[..., 0]
+        return Looked(rotation.exp(-values * omega_s), -omega_s[..., None])
