@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from starcal_ros.config.image import CentroidConfig, ImageConfig
 from starcal_ros.core.camera import Detector
 from starcal_ros.imaging.centroids import extract
-from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.render import Renderer
+from starcal_ros.simulation.star_images import instants_ns
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ CONFIG = ImageConfig(zero_point_electrons_s=5e6)
 EXPOSURE_S, STARS, FRAMES = 0.18, 30, 60
 RATES = (0.0, 0.5, 1.0)         # deg/s
 RENDER_LIMIT_MS, EXTRACT_LIMIT_MS = 50.0, 40.0
-NODES = np.array(smear.instants_ns(1.0)) * 1e-9
+NODES = np.array(instants_ns(1.0)) * 1e-9
 PX_PER_DEG_S = np.radians(1.0) * EXPOSURE_S * 25.6 / DETECTOR.pitch_mm
 
 

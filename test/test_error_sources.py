@@ -13,13 +13,15 @@ from starcal_ros.config import models, parameter_file
 from starcal_ros.config.instrument import ObserverConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.shipped import config_file
-from starcal_ros.config.truth import TrueObserverConfig
+from starcal_ros.config.truth import TrueObserverConfig, sources
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
 from starcal_ros.simulation import sensors
-from starcal_ros.simulation.errors import hot_pixels, smear
+from starcal_ros.simulation.errors import examples, hot_pixels, smear
 from starcal_ros.simulation.process import Process
 from starcal_ros.simulation.randomness import stream
+from starcal_ros.simulation.star_images import instants_ns
+from starcal_ros.simulation.star_tracker import StarTrackerSimulator
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
@@ -27,22 +29,25 @@ from starcal_ros.sky.apparent import Observer, apparent_places
 TAN2018 = parameter_file.load(config_file('tan2018.yaml'))
 QUIET = TAN2018.replace({'truth.gyro.arw_deg_sqrt_h': 0.0,
                          'truth.star_tracker.centroid_sigma_px': 0.0})
-GYRO_ERRORS = {
-    'truth.gyro.arw_deg_sqrt_h': 0.01,
-    'truth.gyro.scale_factor_ppm': (10.0, -20.0, 30.0),
-    'truth.gyro.misalignment_arcsec': (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
-    'truth.gyro.bias_random_walk_deg_h_sqrt_h': 0.1,
-}
+SOURCES = {source.__name__.rpartition('.')[2]: source for source in sources()}
+GYRO_HOOKS, TRACKER_HOOKS = {'bias', 'rate', 'readings'}, {'mounting', 'images', 'frames'}
+
+
+def seen_by(hooks):
+    """Return the settings with which the sources that have one of these hooks are on, by label."""
+    return {label: values for source in SOURCES.values() if hooks & set(vars(source))
+            for label, values in examples(source).items()}
+
+
+GYRO_ERRORS = {'noisy gyro': {'truth.gyro.arw_deg_sqrt_h': 0.01}, **seen_by(GYRO_HOOKS)}
 TRACKER_ERRORS = {
-    'truth.star_tracker.centroid_sigma_px': 0.1,
-    'truth.star_tracker.time_offset_s': 0.02,
-    'truth.star_tracker.smear': True,
-    'truth.star_tracker.misidentified_fraction': 0.1,
-    'truth.star_tracker.hot_pixels_per_frame': 5,
-    'truth.mounting_drift.sigma_arcsec': 10.0,
-    'truth.observer.velocity': 'orbit',
+    'noisy centroids': {'truth.star_tracker.centroid_sigma_px': 0.1},
+    'late': {'truth.star_tracker.time_offset_s': 0.02},
+    'in orbit': {'truth.observer.velocity': 'orbit'},
+    **seen_by(TRACKER_HOOKS),
 }
-ALL_ERRORS = {**GYRO_ERRORS, **TRACKER_ERRORS}
+ERRORS = {**GYRO_ERRORS, **TRACKER_ERRORS}
+ALL_ERRORS = {key: value for values in ERRORS.values() for key, value in values.items()}
 SEEDS = range(200)
 # Frames 62 to 179 and more lie in the first slew, 0.5 deg/s about x, steady from 31 s to 90 s.
 STEADY = slice(64, 178)
@@ -119,20 +124,31 @@ def test_true_noise_that_is_left_out_is_nominal():
     assert same(tracker_of(stated, 10), tracker_of(TAN2018, 10))
 
 
-@pytest.mark.parametrize('key', ALL_ERRORS)
-def test_an_error_is_seen_by_its_own_sensor_alone(key):
-    wrong = TAN2018.replace({key: ALL_ERRORS[key]})
-    assert same(gyro_of(wrong, 5000), gyro_of(TAN2018, 5000)) == (key in TRACKER_ERRORS)
-    assert same(tracker_of(wrong, 100), tracker_of(TAN2018, 100)) == (key in GYRO_ERRORS)
+@pytest.mark.parametrize('label', ERRORS)
+def test_an_error_is_seen_by_its_own_sensor_alone(label):
+    wrong = TAN2018.replace(ERRORS[label])
+    assert same(gyro_of(wrong, 5000), gyro_of(TAN2018, 5000)) == (label not in GYRO_ERRORS)
+    assert same(tracker_of(wrong, 100), tracker_of(TAN2018, 100)) == (label not in TRACKER_ERRORS)
 
 
-@pytest.mark.parametrize('key', ALL_ERRORS)
-def test_no_error_changes_the_constants_or_the_attitude_of_the_truth(key):
-    truth, wrong = (Truth.from_scenario(s) for s in (
-        TAN2018, TAN2018.replace({key: ALL_ERRORS[key]})))
+@pytest.mark.parametrize('label', ERRORS)
+def test_no_error_changes_the_constants_or_the_attitude_of_the_truth(label):
+    truth, wrong = (Truth.from_scenario(s) for s in (TAN2018, TAN2018.replace(ERRORS[label])))
     np.testing.assert_array_equal(wrong.vector(), truth.vector())
     stamps = truth.motion.start_ns + 10**9 * np.arange(100)
     np.testing.assert_array_equal(wrong.motion.attitude(stamps), truth.motion.attitude(stamps))
+
+
+def test_every_source_has_a_hook_and_settings_of_its_own():
+    labels = [label for source in SOURCES.values() for label in source.ON]
+    assert labels and len(set(labels)) == len(labels)
+    for name, source in SOURCES.items():
+        assert source.ON and (GYRO_HOOKS | TRACKER_HOOKS) & set(vars(source)), name
+
+
+def test_smear_comes_before_other_sources_that_move_the_images():
+    """It begins with the trail, not with what another has made of the image."""
+    assert next(name for name, source in SOURCES.items() if hasattr(source, 'images')) == 'smear'
 
 
 # Randomness
@@ -147,14 +163,17 @@ def test_errors_are_the_same_to_the_bit_whatever_the_batches(make, sizes):
     assert same(type(whole).concatenate(parts), whole)
 
 
-@pytest.mark.parametrize('key', ['truth.mounting_drift.sigma_arcsec',
-                                 'truth.star_tracker.misidentified_fraction',
-                                 'truth.star_tracker.hot_pixels_per_frame'])
-def test_an_error_is_another_with_another_seed(key):
-    wrong = QUIET.replace({key: ALL_ERRORS[key]})
-    first = tracker_of(wrong, 100)
-    assert same(tracker_of(wrong, 100), first)
-    assert not same(tracker_of(wrong.replace({'simulation.seed': 2}), 100), first)
+DRAWN = {name: source for name, source in SOURCES.items() if hasattr(source, 'stream')}
+
+
+@pytest.mark.parametrize('name', DRAWN)
+def test_an_error_is_another_with_another_seed(name):
+    for values in examples(DRAWN[name]).values():
+        one, again, other = (
+            (gyro_of(setting, 1000), tracker_of(setting, 100)) for setting in (
+                QUIET.replace({**values, 'simulation.seed': seed}) for seed in (1, 1, 2)))
+        assert all(map(same, one, again))
+        assert not all(map(same, one, other))
 
 
 def test_a_longer_run_begins_like_a_shorter_one():
@@ -164,12 +183,45 @@ def test_a_longer_run_begins_like_a_shorter_one():
     assert same(tracker_of(short, 120), tracker_of(long, 120))
 
 
-def test_sources_draw_from_streams_of_their_own():
-    first = [stream(TAN2018, source).random() for source in (
-        'bias_walk', 'mounting_drift', 'misidentification', 'hot_pixels')]
+def test_streams_differ_by_name_and_from_those_of_the_sensors():
+    first = [stream(TAN2018, name).random() for name in DRAWN]
     first += [np.random.default_rng(np.random.SeedSequence(1, spawn_key=(sensor,))).random()
               for sensor in (0, 1)]
-    assert len(set(first)) == 6
+    assert len(set(first)) == len(DRAWN) + 2
+
+
+@pytest.mark.parametrize('name', DRAWN)
+def test_a_source_draws_from_the_stream_of_its_name_alone(name, monkeypatch):
+    """So none that is switched on takes numbers from another."""
+    asked = set()
+
+    def watched(scenario, source):
+        asked.add(source)
+        return stream(scenario, source)
+
+    monkeypatch.setattr(DRAWN[name], 'stream', watched)
+    wrong = TAN2018.replace(ALL_ERRORS)
+    gyro_of(wrong, 10), tracker_of(wrong, 10)
+    assert asked == {name}
+
+
+@pytest.mark.parametrize('label', seen_by(GYRO_HOOKS))
+def test_a_gyro_error_leaves_the_noise_as_it_was(label):
+    """What the noise adds to a reading, to the rounding of rates of 0.5 deg/s."""
+    right, wrong = (gyro_of(TAN2018.replace(values), 5000).rate
+                    - gyro_of(QUIET.replace(values), 5000).rate for values in ({}, ERRORS[label]))
+    np.testing.assert_allclose(wrong, right, rtol=0.0, atol=1e-17)
+
+
+@pytest.mark.parametrize('label', seen_by({'frames'}))
+def test_an_error_of_the_frames_leaves_the_noise_as_it_was(label):
+    """The sensor has drawn as many numbers, for the same stars."""
+    stars, ends = catalog.load(TAN2018.star_tracker.limiting_magnitude), []
+    for setting in (TAN2018, TAN2018.replace(ERRORS[label])):
+        rng = np.random.default_rng(7)
+        StarTrackerSimulator(setting, Truth.from_scenario(setting), stars, rng).next(50)
+        ends.append(rng.bit_generator.state)
+    assert ends[0] == ends[1]
 
 
 def test_a_process_is_linear_between_its_grid_points_and_stands_still_beyond():
@@ -331,7 +383,7 @@ def test_smear_spreads_the_noise_along_the_trail_by_its_length_and_not_across():
 def test_a_steady_trail_has_a_twelfth_of_its_length_squared():
     """Exact to rounding: the sums of five points are exact for powers up to the seventh."""
     ends = np.array([[3.0, 4.0], [0.0, 0.0]])
-    t = np.array(smear.instants_ns(1.0)) * 1e-9
+    t = np.array(instants_ns(1.0)) * 1e-9
     factor = smear.noise_factor(t[:, None, None] * ends)
     S = np.outer(ends[0], ends[0]) / 12.0 / smear.SPOT_SIGMA_PX**2
     np.testing.assert_allclose(factor[0] @ factor[0].T, np.eye(2) + S, rtol=1e-8)
@@ -345,7 +397,7 @@ def drifts(t, **more):
     setting = TAN2018.replace({'truth.mounting_drift.sigma_arcsec': 10.0,
                                'truth.mounting_drift.time_constant_s': 100.0, **more})
     truths = [Truth.from_scenario(setting.replace({'simulation.seed': seed})) for seed in SEEDS]
-    return np.array([truth.drift.at(truth.motion.start_ns + np.array(t) * 10**9)
+    return np.array([truth.drifts[0](truth.motion.start_ns + np.array(t) * 10**9)
                      for truth in truths]) / (10.0 * ARCSEC)
 
 
@@ -379,7 +431,7 @@ def test_drift_turns_the_star_tracker_about_its_axes():
     u_i = apparent_places(stars, stars.rows(frames.catalog_id), frames.stamp_ns,
                           frames.star_counts, models.observer(setting.observer))
     C_gi = np.swapaxes(truth.motion.attitude(frames.stamp_ns), -1, -2)
-    Psi = truth.drift.at(frames.stamp_ns)
+    Psi = truth.drifts[0](frames.stamp_ns)
     C_si = (np.eye(3) + rotation.skew(Psi)) @ truth.C_sg @ C_gi
     uv = camera.project((C_si[frames.frame_index] @ u_i[..., None])[..., 0], truth.intrinsics,
                         truth.detector.pitch_mm) + truth.detector.centre_raster

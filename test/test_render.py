@@ -11,19 +11,19 @@ from scipy.special import erf
 from starcal_ros.config.image import CentroidConfig, ImageConfig
 from starcal_ros.config.instrument import StarTrackerConfig
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.config.truth import TrueStarTrackerConfig
 from starcal_ros.core import psf
 from starcal_ros.core.camera import Detector
 from starcal_ros.imaging.centroids import extract
 from starcal_ros.simulation.errors import smear
 from starcal_ros.simulation.render import ImageSimulator, Renderer
+from starcal_ros.simulation.star_images import instants_ns
 from starcal_ros.simulation.star_tracker import StarTrackerSimulator
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
 
 DETECTOR = Detector(256, 200, 0.00645)
 EXPOSURE_S = 0.18
-NODES = np.array(smear.instants_ns(1.0)) * 1e-9
+NODES = np.array(instants_ns(1.0)) * 1e-9
 
 
 def renderer(seed: int = 1, detector: Detector = DETECTOR, **changes) -> Renderer:
@@ -170,8 +170,7 @@ def simulator(scene: Scenario, config: ImageConfig, seed: int = 1) -> ImageSimul
 def test_images_show_the_stars_where_the_centroids_are(at_s):
     """At 10 s the camera rests, at 60 s it slews at 0.5 deg/s: trails of 6 px."""
     tracker = StarTrackerConfig(limiting_magnitude=5.5, centroid_sigma_px=0.0)
-    scene = scenario(star_tracker=tracker, truth=dataclasses.replace(
-        Scenario().truth, star_tracker=TrueStarTrackerConfig(smear=True)))
+    scene = scenario(star_tracker=tracker).replace({'truth.star_tracker.smear': True})
     truth = Truth.from_scenario(scene)
     index = round(at_s * tracker.rate_hz)
     stars = StarTrackerSimulator(scene, truth, catalog.load(5.5), np.random.default_rng(1))
@@ -189,12 +188,11 @@ def test_images_show_the_stars_where_the_centroids_are(at_s):
 
 
 def test_a_late_stamp_shows_an_earlier_sky():
-    late = dataclasses.replace(Scenario().truth,
-                               star_tracker=TrueStarTrackerConfig(time_offset_s=0.25))
+    late = Scenario().replace({'truth.star_tracker.time_offset_s': 0.25})
     stamp_ns = Truth.from_scenario(Scenario()).motion.start_ns + 60 * 10**9
     config = ImageConfig(limiting_magnitude=4.0)
     on_time = simulator(Scenario(), config).image(stamp_ns)
-    shifted = simulator(scenario(truth=late), config).image(stamp_ns + 250_000_000)
+    shifted = simulator(late, config).image(stamp_ns + 250_000_000)
     assert np.array_equal(on_time, shifted)
 
 

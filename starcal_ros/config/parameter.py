@@ -101,12 +101,12 @@ def declared(group: type, prefix: str = '', default: Any = None
     """
     hints = typing.get_type_hints(group, include_extras=True)
     for item in dataclasses.fields(group):
-        hint, key = hints[item.name], prefix + item.name
+        key = prefix + item.name
         value = _default(item) if default is None else getattr(default, item.name)
-        if dataclasses.is_dataclass(hint):
-            yield from declared(typing.cast(type, hint), key + '.', value)
+        if dataclasses.is_dataclass(value):
+            yield from declared(type(value), key + '.', value)
             continue
-        base, spec = typing.get_args(hint)
+        base, spec = typing.get_args(hints[item.name])
         optional = typing.get_origin(base) in (Union, types.UnionType)
         if optional:
             base = next(arg for arg in typing.get_args(base) if arg is not types.NoneType)

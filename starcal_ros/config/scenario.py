@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One scenario: every parameter of the suite, typed, validated, declared here and nowhere else.
+"""One scenario: every parameter of the suite, typed and validated, declared once.
 
 A scenario is a ROS 2 parameter file (``/**: ros__parameters:``). The command line reads it with
 `parameter_file`; the nodes declare the same fields as ROS parameters (`nodes.base.parameters`).
@@ -8,7 +8,7 @@ Each field carries its unit, its range and its text. A parameter that is None ma
 then has the meaning that its text gives.
 
 The group ``truth`` holds what the simulators use in place of the nominal values and which errors
-they add to them; nothing that estimates reads it.
+they add to them; nothing that estimates reads it. The errors are found by name (`config.truth`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections.abc import Mapping
 import dataclasses
 from dataclasses import dataclass, field
 import difflib
+from functools import cache
 import hashlib
 import json
 import math
@@ -31,7 +32,7 @@ from starcal_ros.config.intrinsics import IntrinsicsConfig
 from starcal_ros.config.nodes import (CentroidExtractorConfig, PlayerConfig, RecorderConfig,
                                       StarIdentifierConfig)
 from starcal_ros.config.parameter import ConfigError, Parameter, Spec, declared
-from starcal_ros.config.truth import TruthConfig
+from starcal_ros.config.truth import TruthConfig, default_truth, sources
 from starcal_ros.core.utc import unix_ns
 
 Floats = tuple[float, ...]
@@ -73,7 +74,7 @@ class Scenario:
     image: ImageConfig = field(default_factory=ImageConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
-    truth: TruthConfig = field(default_factory=TruthConfig)
+    truth: TruthConfig = field(default_factory=default_truth)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     intrinsics: IntrinsicsConfig = field(default_factory=IntrinsicsConfig)
@@ -86,6 +87,10 @@ class Scenario:
         for key, parameter in parameters().items():
             parameter.check(key, _get(self, key))
         _check_together(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By value: the classes of the group truth are made where the error sources are found.
+        return from_flat, (self.flat(),)
 
     def flat(self) -> dict[str, Any]:
         """Return every parameter that has a value, by its dotted name."""
@@ -103,14 +108,10 @@ class Scenario:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-_PARAMETERS: dict[str, Parameter] = {}
-
-
+@cache
 def parameters() -> Mapping[str, Parameter]:
     """Return every parameter of the suite by its dotted name, in the order of declaration."""
-    if not _PARAMETERS:
-        _PARAMETERS.update(declared(Scenario))
-    return _PARAMETERS
+    return dict(declared(Scenario))
 
 
 def _get(scenario: Scenario, key: str) -> Any:
@@ -170,14 +171,22 @@ def _check_together(scenario: Scenario) -> None:
                           f'{len(motion.axes)} axes, needs as many, and at least one')
     if motion.dwell_s == 0.0 and not any(motion.angles_deg):
         raise ConfigError('motion.dwell_s: got 0.0 and no angle but 0, needs a dwell or an angle')
-    trail_deg = motion.rate_deg_s * scenario.star_tracker.exposure_s
-    for key in ('truth.star_tracker.smear', 'simulation.images'):
-        if _get(scenario, key) and trail_deg > _LONGEST_TRAIL_DEG:
-            raise ConfigError(f'{key}: got trails of {trail_deg:g} deg (slew rate times '
-                              f'exposure), allowed is 0 to {_LONGEST_TRAIL_DEG:g} deg')
+    for source in sources():
+        if hasattr(source, 'check'):
+            source.check(scenario)
+    if scenario.simulation.images:
+        check_trails('simulation.images', scenario)
     for key in ('observer.epoch_utc', 'truth.observer.epoch_utc', 'simulation.start_utc'):
         if (text := _get(scenario, key)) is not None:
             stamp_ns(key, text)
+
+
+def check_trails(key: str, scenario: Scenario) -> None:
+    """Raise ConfigError where stars trail too far for what the parameter `key` asks for."""
+    trail_deg = scenario.motion.rate_deg_s * scenario.star_tracker.exposure_s
+    if trail_deg > _LONGEST_TRAIL_DEG:
+        raise ConfigError(f'{key}: got trails of {trail_deg:g} deg (slew rate times '
+                          f'exposure), allowed is 0 to {_LONGEST_TRAIL_DEG:g} deg')
 
 
 def stamp_ns(key: str, text: str) -> int:

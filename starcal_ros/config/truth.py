@@ -2,20 +2,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameter group ``truth``: the true values, and the errors that no estimator models.
 
-Two kinds of parameter. One that may be left out (``| None``) stands in place of the nominal value
-of the same name. The others are errors, each off by default; its text says what it does, and the
-module of ``simulation/`` named with it says how.
+The true values are declared here. One that may be left out (``| None``) stands in place of the
+nominal value of the same name.
+
+The errors are declared by their sources, each in its own file of ``simulation/errors``, and each
+is off by default; `default_truth` joins them to these groups. This is the one place where the
+configuration reaches up, and it does so by name: when the parameters are first used, not when this
+module is imported.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, make_dataclass
+from functools import cache
+from importlib import import_module
+import math
+import pkgutil
+from types import ModuleType
+from typing import Annotated, Any, TypeVar
 
 from starcal_ros.config.instrument import MountingConfig
-from starcal_ros.config.parameter import Spec
+from starcal_ros.config.parameter import ConfigError, Spec
 
 Floats = tuple[float, ...]
+Group = TypeVar('Group')
+
+_ERRORS = 'starcal_ros.simulation.errors'
 
 
 @dataclass(frozen=True)
@@ -30,18 +43,6 @@ class TrueCameraConfig:
 
 
 @dataclass(frozen=True)
-class MountingDriftConfig:
-    """How the mounting wanders about the true one (`mounting_drift`)."""
-
-    sigma_arcsec: Annotated[float, Spec(
-        'Standard deviation of the drift about each axis of the star tracker, 0 is off',
-        'arcsec', 0.0, 3600.0)] = 0.0
-    time_constant_s: Annotated[float, Spec(
-        'Time constant of the drift, a first-order Gauss-Markov process', 's', 10.0, 1e7)
-    ] = 3600.0
-
-
-@dataclass(frozen=True)
 class TrueGyroConfig:
     """The gyro that the simulators use."""
 
@@ -49,15 +50,6 @@ class TrueGyroConfig:
         'Bias at the start of the run', 'deg/h', -1e6, 1e6, 3)] = None
     arw_deg_sqrt_h: Annotated[float | None, Spec(
         'Angular random walk', 'deg/sqrt(h)', 0.0, 100.0)] = None
-    scale_factor_ppm: Annotated[Floats, Spec(
-        'Scale factor error of the x, y, z gyro (gyro_scale)', 'ppm', -1e5, 1e5, 3)
-    ] = (0.0, 0.0, 0.0)
-    misalignment_arcsec: Annotated[Floats, Spec(
-        'Misalignment xy, xz, yx, yz, zx, zy, where xy is what the x gyro sees of a rate about y '
-        '(gyro_scale)', 'arcsec', -2e4, 2e4, 6)] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    bias_random_walk_deg_h_sqrt_h: Annotated[float, Spec(
-        'Random walk of the bias of each gyro, 0 is off (bias_walk)', 'deg/h/sqrt(h)', 0.0, 1e6)
-    ] = 0.0
 
 
 @dataclass(frozen=True)
@@ -70,14 +62,6 @@ class TrueStarTrackerConfig:
     time_offset_s: Annotated[float, Spec(
         "Stamp of a frame minus the middle of its exposure in the gyro's time: a positive stamp "
         'is late', 's', -10.0, 10.0)] = 0.0
-    smear: Annotated[bool, Spec(
-        'Stars trail while the exposure lasts: a centroid is the mean of the moving image, and '
-        'its noise grows along the trail (smear)')] = False
-    misidentified_fraction: Annotated[float, Spec(
-        "Part of the stars that get their nearest neighbour's number (misidentification)",
-        '', 0.0, 1.0)] = 0.0
-    hot_pixels_per_frame: Annotated[int, Spec(
-        'False spots in each frame, always at the same places (hot_pixels)', '', 0, 200)] = 0
 
 
 @dataclass(frozen=True)
@@ -100,11 +84,66 @@ class TrueObserverConfig:
 
 @dataclass(frozen=True)
 class TruthConfig:
-    """What the simulators use in place of the nominal values, and the errors they add."""
+    """What the simulators use in place of the nominal values; `default_truth` adds the errors."""
 
     camera: TrueCameraConfig = field(default_factory=TrueCameraConfig)
     mounting: MountingConfig = field(default_factory=MountingConfig)
-    mounting_drift: MountingDriftConfig = field(default_factory=MountingDriftConfig)
     gyro: TrueGyroConfig = field(default_factory=TrueGyroConfig)
     star_tracker: TrueStarTrackerConfig = field(default_factory=TrueStarTrackerConfig)
     observer: TrueObserverConfig = field(default_factory=TrueObserverConfig)
+
+    def of(self, config: type[Group]) -> Group:
+        """Return the values of an error source, from the group that its `Config` is part of."""
+        for item in fields(self):
+            group = getattr(self, item.name)
+            if isinstance(group, config):
+                return group
+        raise LookupError(f'{config.__module__} has no parameters in this scenario')
+
+
+@cache
+def sources() -> tuple[ModuleType, ...]:
+    """Return the error sources: the modules of ``simulation/errors``, in their order."""
+    folder = import_module(_ERRORS)
+    found = [import_module(f'{_ERRORS}.{module.name}')
+             for module in pkgutil.iter_modules(folder.__path__)]
+    return tuple(sorted(found, key=lambda source: (order(source), source.__name__)))
+
+
+def order(source: ModuleType) -> float:
+    """Return the place of an error source among all; without an ``ORDER`` it is the last."""
+    return getattr(source, 'ORDER', math.inf)
+
+
+@cache
+def default_truth() -> TruthConfig:
+    """Return the group ``truth`` with the parameters of all error sources, each of them off.
+
+    Raises
+    ------
+    ConfigError
+        Where two declare the same parameter.
+    """
+    truth = TruthConfig()
+    parts: dict[str, list[type]] = {}
+    for source in sources():
+        own = getattr(truth, source.GROUP, None)
+        parts.setdefault(source.GROUP, [] if own is None else [type(own)]).append(source.Config)
+    joined = {name: _joined(name, group) for name, group in parts.items()}
+    made: type[TruthConfig] = make_dataclass(
+        TruthConfig.__name__, [(name, type(group), group) for name, group in joined.items()],
+        bases=(TruthConfig,), frozen=True)
+    return made()
+
+
+def _joined(name: str, parts: Sequence[type[Any]]) -> Any:
+    """Return the defaults of a group that has the parameters of all its parts."""
+    declared_by: dict[str, str] = {}
+    for part in parts:
+        for item in fields(part):
+            if item.name in declared_by:
+                raise ConfigError(f'truth.{name}.{item.name}: declared by '
+                                  f'{declared_by[item.name]} and by {part.__module__}')
+            declared_by[item.name] = part.__module__
+    # Of several bases dataclass takes the fields of the last first.
+    return make_dataclass(parts[0].__name__, [], bases=tuple(reversed(parts)), frozen=True)()

@@ -15,7 +15,8 @@ Model
     dt              s              sampling interval; a reading is stamped at its end
 
 ``theta`` is the logarithm of the true rotation over the interval, which for a rotation about one
-axis, as in T18 Table 2, is the integral of the true rate: nothing is lost between samples.
+axis, as in T18 Table 2, is the integral of the true rate: nothing is lost between samples. M and
+the walk of b are two of the `errors`: their hooks `bias`, `rate` and `readings` are called here.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Ints
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR, NS
 from starcal_ros.measurements.samples import GyroSamples
-from starcal_ros.simulation.errors.gyro_scale import scale_error
+from starcal_ros.simulation.errors import switched_on
 from starcal_ros.simulation.truth import Truth
 
 
@@ -51,7 +52,8 @@ class GyroSimulator:
         self._stated_walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
         walk = scenario.truth.gyro.arw_deg_sqrt_h
         self._walk = self._stated_walk if walk is None else walk * DEG_PER_SQRT_HOUR
-        self._M = scale_error(scenario.truth.gyro)
+        self._on_rate = switched_on('rate', scenario)
+        self._on_readings = switched_on('readings', scenario)
         self._truth = truth
         self._rng = rng
 
@@ -75,6 +77,10 @@ class GyroSimulator:
         dt = np.diff(stamps)[:, None] * NS
         noise = self._rng.standard_normal(theta.shape)
         rate = theta / dt
-        rate += (self._M @ rate[..., None])[..., 0]
+        for sense in self._on_rate:
+            rate = sense(stamps[1:], rate)
         bias = self._truth.bias_at((stamps[:-1] + stamps[1:]) // 2)
-        return GyroSamples(stamps[1:], rate + bias + self._walk / np.sqrt(dt) * noise)
+        samples = GyroSamples(stamps[1:], rate + bias + self._walk / np.sqrt(dt) * noise)
+        for spoil in self._on_readings:
+            samples = spoil(samples)
+        return samples

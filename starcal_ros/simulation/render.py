@@ -29,7 +29,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import psf
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
-from starcal_ros.simulation.errors import smear
+from starcal_ros.simulation.star_images import instants_ns
 from starcal_ros.simulation.star_view import StarView
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky.catalog import Catalog
@@ -37,7 +37,7 @@ from starcal_ros.sky.catalog import Catalog
 Image = NDArray[np.uint16]
 
 _REACH = 5.0            # sigmas of the spot that are drawn: all but 1e-6 of its light
-_NODES = np.array(smear.instants_ns(1.0)) * 1e-9
+_NODES = np.array(instants_ns(1.0)) * 1e-9
 _FROM_NODES = np.linalg.inv(np.vander(_NODES))
 
 
@@ -77,7 +77,7 @@ class Renderer:
         Parameters
         ----------
         trail : (5, n, 2) array
-            Places at the instants of `smear`, from the centre of the detector [px].
+            Places at the `instants_ns`, from the centre of the detector [px].
         magnitude : (n,) array
             Hp.
         """

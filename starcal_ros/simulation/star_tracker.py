@@ -9,20 +9,21 @@ true time offset of the stamps. A star is measured where its true image falls on
 stars down to the limiting magnitude are, and all are identified, by their right numbers unless
 `misidentification` is on. The sigma that a frame states is the nominal one.
 
-Errors, each in a file of its own: `mounting_drift` turns C_si, `smear` moves the image and shapes
-its noise, `misidentification` and then `hot_pixels` work on the finished frame.
+The `errors` come in by their hooks: `mounting` turns C_si (`truth`), `images` moves the image and
+shapes its noise, `frames` works on the finished frame.
 """
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames
-from starcal_ros.simulation.errors import smear
-from starcal_ros.simulation.errors.hot_pixels import HotPixels
-from starcal_ros.simulation.errors.misidentification import Misidentification
+from starcal_ros.simulation.errors import switched_on
+from starcal_ros.simulation.star_images import StarImages
 from starcal_ros.simulation.star_view import StarView
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky.catalog import Catalog
@@ -55,12 +56,10 @@ class StarTrackerSimulator:
         if errors.centroid_sigma_px is not None:
             self._sigma = errors.centroid_sigma_px
         self._late_ns = round(errors.time_offset_s * 1e9)
-        self._smear = errors.smear
         self._stars = stars.brighter_than(tracker.limiting_magnitude)
         self._view = StarView(scenario, truth, self._stars)
-        self._misidentification = (Misidentification(scenario, self._stars)
-                                   if errors.misidentified_fraction else None)
-        self._hot_pixels = HotPixels(scenario) if errors.hot_pixels_per_frame else None
+        self._on_images = switched_on('images', scenario)
+        self._on_frames = switched_on('frames', scenario, self._stars)
         self._rng = rng
 
     @property
@@ -88,22 +87,21 @@ class StarTrackerSimulator:
     def _observe(self, stamps_ns: Ints) -> Frames:
         middle_ns = stamps_ns - self._late_ns
         frame, star, u_i = self._view.near(middle_ns)
-        if self._smear:
-            trail = self._view.trail(middle_ns, frame, u_i)
-            uv = smear.centroid(trail)
-        else:
-            uv = self._view.at(middle_ns, frame, u_i)
-        seen = self.truth.detector.contains(uv)
-        frame, star, uv = frame[seen], star[seen], uv[seen]
+        images = StarImages(middle_ns, frame, self._view.at(middle_ns, frame, u_i),
+                            partial(self._view.trail, middle_ns, frame, u_i))
+        for move in self._on_images:
+            images = move(images)
+        seen = self.truth.detector.contains(images.uv)
+        frame, star, uv = frame[seen], star[seen], images.uv[seen]
         noise = self._rng.standard_normal(uv.shape)
-        if self._smear:
-            noise = (smear.noise_factor(trail[:, seen]) @ noise[..., None])[..., 0]
+        if images.noise_factor is not None:
+            noise = (images.noise_factor[seen] @ noise[..., None])[..., 0]
         uv = uv + self._sigma * noise
         counts = np.bincount(frame, minlength=len(stamps_ns))
         frames = Frames(stamps_ns, np.concatenate(([0], np.cumsum(counts))),
                         uv + self.truth.detector.centre_raster,
                         np.full(len(uv), self._stated_sigma), self._stars.magnitude[star],
                         self._stars.hip[star])
-        if self._misidentification:
-            frames = self._misidentification.confuse(frames)
-        return self._hot_pixels.add(frames) if self._hot_pixels else frames
+        for spoil in self._on_frames:
+            frames = spoil(frames)
+        return frames

@@ -11,7 +11,7 @@ from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints
-from starcal_ros.simulation.errors import smear
+from starcal_ros.simulation.star_images import instants_ns
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky.apparent import apparent_places
 from starcal_ros.sky.catalog import Catalog
@@ -38,7 +38,7 @@ class StarView:
         self.truth, self._stars = truth, stars
         self._direction = erfa.s2c(stars.ra, stars.dec)
         self._observer = observer(scenario.observer, scenario.truth.observer)
-        self._instants_ns = smear.instants_ns(scenario.star_tracker.exposure_s)
+        self._instants_ns = instants_ns(scenario.star_tracker.exposure_s)
         half = truth.detector.pitch_mm * np.hypot(truth.detector.width, truth.detector.height) / 2
         offset = np.hypot(*truth.intrinsics[:2]) * truth.detector.pitch_mm
         # 1.1: the distortion may draw in stars from outside the pinhole field
@@ -72,6 +72,6 @@ class StarView:
         return camera.project(r_s, self.truth.intrinsics, self.truth.detector.pitch_mm)
 
     def trail(self, middle_ns: Rows, frame: Rows, u_i: Array) -> Array:
-        """Return the images (5, n, 2) [px] at the instants of `smear` while the exposure lasts."""
+        """Return the images (5, n, 2) [px] at the `instants_ns` of the exposure."""
         return np.stack([self.at(middle_ns + instant, frame, u_i)
                          for instant in self._instants_ns])

@@ -8,6 +8,7 @@ start; where the mounting drifts, its mean. `Truth` has both as functions of tim
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,14 +20,14 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import INTRINSICS_KEYS, Detector
 from starcal_ros.core.units import DEG_PER_HOUR
-from starcal_ros.simulation.errors.bias_walk import bias_walk
-from starcal_ros.simulation.errors.mounting_drift import mounting_drift
+from starcal_ros.simulation.errors import switched_on
 from starcal_ros.simulation.motion import Motion
-from starcal_ros.simulation.process import Process
 
 VECTOR_LABEL = ('gyro_bias_rad_s[3] fixed_angles_rad[3] u0_px v0_px f_mm k1_mm-2 k2_mm-4 p1_mm-1 '
                 'p2_mm-1')
 VECTOR_SIZE = 13
+
+OverTime = Callable[[Ints], Array]
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,11 @@ class Truth:
         Mounting, its mean where it drifts.
     bias : (3,) array
         Gyro bias, in g, at the start [rad/s].
-    drift : Process, optional
-        Rotation vector Psi of the mounting from its mean, in s [rad].
-    walk : Process, optional
-        Change of the bias since the start, in g [rad/s].
+    drifts : sequence of callables
+        Rotation vectors (n, 3), in s, that turn the mounting from its mean at stamps (n,), one
+        after the other [rad].
+    walks : sequence of callables
+        Changes (n, 3) of the bias since the start, in g, at stamps (n,) [rad/s].
     """
 
     motion: Motion
@@ -56,8 +58,8 @@ class Truth:
     intrinsics: Array
     C_sg: Array
     bias: Array
-    drift: Process | None = None
-    walk: Process | None = None
+    drifts: Sequence[OverTime] = ()
+    walks: Sequence[OverTime] = ()
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Truth:
@@ -68,18 +70,22 @@ class Truth:
         return cls(Motion.from_scenario(scenario), detector(scenario.camera),
                    intrinsics(scenario.camera, truth.camera),
                    mounting_matrix(truth.mounting if given else scenario.mounting),
-                   np.array(bias) * DEG_PER_HOUR, mounting_drift(scenario), bias_walk(scenario))
+                   np.array(bias) * DEG_PER_HOUR, switched_on('mounting', scenario),
+                   switched_on('bias', scenario))
 
     def bias_at(self, stamps_ns: Ints) -> Array:
         """Return the gyro bias, (n, 3), in g at each stamp [rad/s]."""
-        walked = 0.0 if self.walk is None else self.walk.at(stamps_ns)
-        return np.broadcast_to(self.bias + walked, (len(stamps_ns), 3))
+        bias = np.broadcast_to(self.bias, (len(stamps_ns), 3))
+        for walk in self.walks:
+            bias = bias + walk(stamps_ns)
+        return bias
 
     def mounting_at(self, stamps_ns: Ints) -> Array:
         """Return C_sg, (n, 3, 3), at each stamp."""
-        if self.drift is None:
-            return np.broadcast_to(self.C_sg, (len(stamps_ns), 3, 3))
-        return rotation.exp(self.drift.at(stamps_ns)) @ self.C_sg
+        C_sg = np.broadcast_to(self.C_sg, (len(stamps_ns), 3, 3))
+        for drift in self.drifts:
+            C_sg = rotation.exp(drift(stamps_ns)) @ C_sg
+        return C_sg
 
     def attitude_si(self, stamps_ns: Ints) -> Array:
         """Return C_si, (n, 3, 3), of the star tracker at each stamp."""

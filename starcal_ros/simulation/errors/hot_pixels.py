@@ -14,14 +14,40 @@ has, beside the star itself; any other is not identified, number 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
 import numpy as np
 
+from starcal_ros.config.parameter import Spec
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.simulation.randomness import stream
 
+if TYPE_CHECKING:
+    from starcal_ros.sky.catalog import Catalog
+
+GROUP = 'star_tracker'
+ORDER = 80
+ON = {'5 hot pixels': {'hot_pixels_per_frame': 5}}
+NOTE = 'hot pixels: at fixed places in each frame.'
+
 SEARCH_PX = 5.0
 """Search radius of the identifier."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """How many there are."""
+
+    hot_pixels_per_frame: Annotated[int, Spec(
+        'False spots in each frame, always at the same places (hot_pixels)', '', 0, 200)] = 0
+
+
+def frames(scenario: Scenario, stars: Catalog) -> Callable[[Frames], Frames] | None:
+    """Return the function that adds them to frames, or None where there are none."""
+    return HotPixels(scenario).add if scenario.truth.of(Config).hot_pixels_per_frame else None
 
 
 class HotPixels:
@@ -36,7 +62,7 @@ class HotPixels:
     def __init__(self, scenario: Scenario) -> None:
         width, height = scenario.camera.width, scenario.camera.height
         pixel = stream(scenario, 'hot_pixels').choice(
-            width * height, scenario.truth.star_tracker.hot_pixels_per_frame, replace=False)
+            width * height, scenario.truth.of(Config).hot_pixels_per_frame, replace=False)
         self.uv_raster = np.stack((pixel % width, pixel // width), axis=-1).astype(float)
         self._sigma = scenario.star_tracker.centroid_sigma_px
         self._magnitude = scenario.star_tracker.limiting_magnitude

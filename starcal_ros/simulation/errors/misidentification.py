@@ -12,16 +12,39 @@ be in the field as well; then two spots of the frame carry its number.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
-import erfa
-from scipy.spatial import cKDTree
-
-from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.parameter import ConfigError, Spec
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.simulation.randomness import stream
-from starcal_ros.sky.catalog import Catalog
+
+if TYPE_CHECKING:
+    from starcal_ros.sky.catalog import Catalog
+
+GROUP = 'star_tracker'
+ORDER = 70
+ON = {'1 % wrong': {'misidentified_fraction': 0.01}}
+NOTE = 'wrong: stars with the number of their neighbour.'
+
+
+@dataclass(frozen=True)
+class Config:
+    """How often it happens."""
+
+    misidentified_fraction: Annotated[float, Spec(
+        "Part of the stars that get their nearest neighbour's number (misidentification)",
+        '', 0.0, 1.0)] = 0.0
+
+
+def frames(scenario: Scenario, stars: Catalog) -> Callable[[Frames], Frames] | None:
+    """Return the function that confuses stars of frames, or None where it is off."""
+    if scenario.truth.of(Config).misidentified_fraction == 0.0:
+        return None
+    return Misidentification(scenario, stars).confuse
 
 
 class Misidentification:
@@ -41,7 +64,9 @@ class Misidentification:
     """
 
     def __init__(self, scenario: Scenario, stars: Catalog) -> None:
-        self._fraction = scenario.truth.star_tracker.misidentified_fraction
+        import erfa
+        from scipy.spatial import cKDTree
+        self._fraction = scenario.truth.of(Config).misidentified_fraction
         if len(stars) < 2:
             raise ConfigError(f'truth.star_tracker.misidentified_fraction: got {self._fraction} '
                               f'with {len(stars)} stars in the whole sky, needs 2')

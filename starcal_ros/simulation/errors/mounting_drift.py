@@ -19,20 +19,43 @@ The constant C_sg of the truth is thus the mean. The gyros do not feel the drift
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
 import numpy as np
 
+from starcal_ros.config.parameter import Spec
 from starcal_ros.config.scenario import Scenario, stamp_ns
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.simulation.process import Process
 from starcal_ros.simulation.randomness import stream
+
+GROUP = 'mounting_drift'
+ORDER = 50
+ON = {'drift 1"': {'sigma_arcsec': 1.0}}
+NOTE = 'drift: Gauss-Markov of 1 h, errors from the mean mounting.'
 
 _STEPS = 100                # to a time constant
 _MARGIN_S = 20              # by which exposures and late stamps reach beyond the run
 
 
-def mounting_drift(scenario: Scenario) -> Process | None:
+@dataclass(frozen=True)
+class Config:
+    """How the mounting wanders about the true one."""
+
+    sigma_arcsec: Annotated[float, Spec(
+        'Standard deviation of the drift about each axis of the star tracker, 0 is off',
+        'arcsec', 0.0, 3600.0)] = 0.0
+    time_constant_s: Annotated[float, Spec(
+        'Time constant of the drift, a first-order Gauss-Markov process', 's', 10.0, 1e7)
+    ] = 3600.0
+
+
+def mounting(scenario: Scenario) -> Callable[[Ints], Array] | None:
     """Return Psi(t) [rad], or None where it is off."""
-    drift, simulation = scenario.truth.mounting_drift, scenario.simulation
+    drift, simulation = scenario.truth.of(Config), scenario.simulation
     if drift.sigma_arcsec == 0.0:
         return None
     step = drift.time_constant_s / _STEPS
@@ -44,4 +67,4 @@ def mounting_drift(scenario: Scenario) -> Process | None:
     for k in range(1, count):
         Psi[k] += a * Psi[k - 1]
     start_ns = stamp_ns('simulation.start_utc', simulation.start_utc)
-    return Process(start_ns - _MARGIN_S * 10**9, step, Psi)
+    return Process(start_ns - _MARGIN_S * 10**9, step, Psi).at

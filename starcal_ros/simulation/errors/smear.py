@@ -24,25 +24,53 @@ good to 4e-4 a T^2, a the step of the image's acceleration: 5e-4 px for T18's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated
+
 import numpy as np
 
+from starcal_ros.config.parameter import Spec
+from starcal_ros.config.scenario import Scenario, check_trails
 from starcal_ros.core.arrays import Array
+from starcal_ros.simulation.star_images import WEIGHTS, StarImages
+
+GROUP = 'star_tracker'
+ORDER = 40          # before others that move an image: it begins with the trail
+ON = {'smear': {'smear': True}}
 
 SPOT_SIGMA_PX = 0.7
 """Sigma s of the spot of a star at rest: 94 % of its light within 3 x 3 pixels."""
 
-_NODES = np.array([-1.0, -np.sqrt(3.0 / 7.0), 0.0, np.sqrt(3.0 / 7.0), 1.0]) / 2.0
-_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
+
+@dataclass(frozen=True)
+class Config:
+    """Whether stars trail."""
+
+    smear: Annotated[bool, Spec(
+        'Stars trail while the exposure lasts: a centroid is the mean of the moving image, and '
+        'its noise grows along the trail (smear)')] = False
 
 
-def instants_ns(exposure_s: float) -> list[int]:
-    """Return when to look, from the middle of the exposure [ns]."""
-    return np.rint(_NODES * exposure_s * 1e9).astype(int).tolist()
+def check(scenario: Scenario) -> None:
+    """Raise ConfigError where the trails are too long."""
+    if scenario.truth.of(Config).smear:
+        check_trails('truth.star_tracker.smear', scenario)
+
+
+def images(scenario: Scenario) -> Callable[[StarImages], StarImages] | None:
+    """Return the function that smears the images of stars, or None where it is off."""
+    return _smeared if scenario.truth.of(Config).smear else None
+
+
+def _smeared(images: StarImages) -> StarImages:
+    trail = images.trail()
+    return replace(images, uv=centroid(trail), noise_factor=noise_factor(trail))
 
 
 def centroid(uv: Array) -> Array:
     """Return c, (n, 2), of the places (5, n, 2) at the `instants_ns` [px]."""
-    return np.sum(_WEIGHTS[:, None, None] * uv, axis=0)
+    return np.sum(WEIGHTS[:, None, None] * uv, axis=0)
 
 
 def noise_factor(uv: Array) -> Array:
@@ -51,5 +79,5 @@ def noise_factor(uv: Array) -> Array:
     Noise of unit covariance that G multiplies has the shape of the trail.
     """
     off = (uv - centroid(uv)) / SPOT_SIGMA_PX
-    S = np.sum(_WEIGHTS[:, None, None, None] * off[..., :, None] * off[..., None, :], axis=0)
+    S = np.sum(WEIGHTS[:, None, None, None] * off[..., :, None] * off[..., None, :], axis=0)
     return np.linalg.cholesky(np.eye(2) + S)
