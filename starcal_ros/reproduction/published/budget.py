@@ -10,38 +10,52 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from starcal_ros.config import truth
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs
 from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.reproduction.outcome import Outcome
+from starcal_ros.simulation import errors
 
 RUNS = 100
-SOURCES: dict[str, dict[str, Any]] = {
-    'scale 100 ppm': {'truth.gyro.scale_factor_ppm': (100.0, 100.0, 100.0)},
-    'misaligned 20"': {'truth.gyro.misalignment_arcsec': (20.0,) * 6},
-    'bias walk': {'truth.gyro.bias_random_walk_deg_h_sqrt_h': 0.01},
-    'late 1 ms': {'truth.star_tracker.time_offset_s': 0.001},
-    'smear': {'truth.star_tracker.smear': True},
-    'drift 1"': {'truth.mounting_drift.sigma_arcsec': 1.0},
-    'in orbit': {'truth.observer.velocity': 'orbit'},
-    '1 % wrong': {'truth.star_tracker.misidentified_fraction': 0.01},
-    '5 hot pixels': {'truth.star_tracker.hot_pixels_per_frame': 5},
-}
-NOTES = ('Mean difference of the errors to the same runs without the source, in stated sigmas; '
-         'differences up to 2 / sqrt(runs) are chance where the source changes the noise.',
-         'bias walk: 0.01 deg/h/sqrt(h), errors from the first bias. drift: Gauss-Markov of 1 h, '
-         'errors from the mean mounting. in orbit: 500 km, believed at the geocentre. wrong: '
-         'stars with the number of their neighbour. hot pixels: at fixed places in each frame.')
+HEADING = ('Mean difference of the errors to the same runs without the source, in stated sigmas; '
+           'differences up to 2 / sqrt(runs) are chance where the source changes the noise.')
+
+
+class Source(NamedTuple):
+    """What is switched on, by label; its place among the columns, and a note below them."""
+
+    order: float
+    cases: dict[str, dict[str, Any]]
+    note: str = ''
+
+
+TRUE_VALUES = (
+    Source(30, {'late 1 ms': {'truth.star_tracker.time_offset_s': 0.001}}),
+    Source(60, {'in orbit': {'truth.observer.velocity': 'orbit'}},
+           'in orbit: 500 km, believed at the geocentre.'),
+)
+"""True values that differ from the nominal ones, among the error sources found by name."""
+
+
+def budget() -> list[Source]:
+    """Return all that is switched on, one after the other."""
+    found = [Source(truth.order(source), errors.examples(source), getattr(source, 'NOTE', ''))
+             for source in truth.sources()]
+    return sorted([*TRUE_VALUES, *found], key=lambda source: source.order)
 
 
 def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Run the scenario without and with each source."""
-    cases: dict[str, dict[str, Any]] = {'none': {}, **SOURCES}
+    sources = budget()
+    cases: dict[str, dict[str, Any]] = {'none': {}}
+    for source in sources:
+        cases.update(source.cases)
     ends: list[Runs] = []
     for k, settings in enumerate(cases.values()):
         study = MonteCarlo(scenario.replace(settings), runs)
@@ -52,5 +66,6 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
               for end in ends[1:]]
     rows: list[tuple[str | float, ...]] = [
         (name, *(float(shift[k]) for shift in shifts)) for k, name in enumerate(STATE_NAMES)]
-    return Outcome(f'Error budget in sigmas, mean of {runs} runs', ('state', *SOURCES),
-                   tuple(rows), NOTES)
+    notes = ' '.join(source.note for source in sources if source.note)
+    return Outcome(f'Error budget in sigmas, mean of {runs} runs', ('state', *list(cases)[1:]),
+                   tuple(rows), (HEADING, notes))
