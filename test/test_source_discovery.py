@@ -5,12 +5,15 @@
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import invalidate_caches
+from pathlib import Path
 import pickle
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from starcal_ros.config import parameter_file, scenario, truth
 from starcal_ros.config.parameter import ConfigError
@@ -20,6 +23,7 @@ from starcal_ros.reproduction.published import budget
 from starcal_ros.simulation import errors, sensors
 from starcal_ros.simulation.truth import Truth
 
+TOP = next(folder for folder in Path(__file__).parents if (folder / 'setup.py').is_file())
 VALUES = {**parameter_file.load(config_file('tan2018.yaml')).flat(), 'motion.dwell_s': 0.0,
           'truth.gyro.bias_deg_h': (0.0, 0.0, 0.0), 'truth.gyro.arw_deg_sqrt_h': 0.0}
 SOURCE = """
@@ -152,6 +156,22 @@ def test_images_move_with_their_stars(tmp_path):
     both = still.keys() & moved.keys()
     assert len(both) > 0.9 * len(still)
     np.testing.assert_allclose([moved[star] - still[star] for star in both], 0.5, atol=1e-12)
+
+
+def test_the_example_of_the_page_is_a_source(tmp_path):
+    """All stars of a frame shift by the same, frame by frame by something else."""
+    page = (TOP / 'docs' / 'howto' / 'add_error_source.md').read_text()
+    text, = re.findall(r'^```python\n(.*?)^```', page, re.S | re.M)
+    quiet = {'truth.star_tracker.centroid_sigma_px': 0.0}
+    with dropped(tmp_path, flicker=text):
+        still, moved = (stars(observed(setting(**quiet, **values))[1]) for values in (
+            {}, {'truth.star_tracker.flicker_px': 0.1}))
+    shifts = np.array([[moved[star] - still[star] for star in still.keys() & moved.keys()
+                        if star[0] == frame][:10] for frame in range(10)])
+    assert shifts.shape == (10, 10, 2)
+    np.testing.assert_allclose(shifts, np.broadcast_to(shifts[:, :1], shifts.shape), atol=1e-12)
+    low, high = chi2.ppf([0.0005, 0.9995], 20)
+    assert low < np.sum((shifts[:, 0] / 0.1)**2) < high
 
 
 def test_a_group_of_its_own_is_a_group_of_parameters(tmp_path):
