@@ -1,3 +1,6 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+
 # Everything a fresh machine needs: each target first makes .venv, with ROS 2 in it, from PyPI.
 
 .PHONY: help demo test lint docs clean browser

@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Install starcal_ros, with colcon into a ROS 2 workspace or with pip anywhere."""
 
 import sys

@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Calibrate your own star tracker and gyros live and record the run."""
 
 from launch_ros.actions import Node

@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Play a recording back and calibrate from it as if it were live."""
 
 from launch_ros.actions import Node

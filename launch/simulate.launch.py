@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Simulate a star tracker and its gyros, calibrate them live and record the run."""
 
 from launch_ros.actions import Node

@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Nothing is lost between processes, however slow a subscriber is."""
 
 from collections.abc import Iterator

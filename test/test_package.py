@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """The package installs: into a ROS 2 workspace with colcon, and anywhere with pip."""
 
 import importlib.util

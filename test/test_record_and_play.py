@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Recorder and player: what one wrote, the other publishes again, nothing lost and in order."""
 
 import signal

@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Nodes begin and end cleanly, in their own processes."""
 
 import os

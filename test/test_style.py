@@ -1,3 +1,5 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """Style, types and the direction of imports."""
 
 import ast
@@ -17,6 +19,12 @@ ONLY = {'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srv
         '_interfaces': 'nodes', 'mcap': 'recording', 'rosbags': 'recording',
         'matplotlib': 'report', 'plotly': 'report'}
 """Endings of the names of libraries that one wing alone imports."""
+LICENSED = ('*.py', '*.yaml', '*.xml', '*.cfg', '*.toml', '*.css', '*.js', '*.rviz', '.gitignore',
+            'Makefile', '.ci/run', 'bin/*')
+"""Code and configuration: what takes a comment and is no prose."""
+FOLDERS = ('.ci', 'bench', 'bin', 'config', 'docs', 'examples', 'launch', 'scripts',
+           'starcal_ros', 'test')
+LICENSE = ('Copyright 2026 starcal_ros contributors', 'SPDX-License-Identifier: Apache-2.0')
 
 
 def run(*command: str) -> None:
@@ -55,6 +63,30 @@ def test_docstrings_follow_numpydoc():
 def test_types_are_strict_outside_the_nodes(tmp_path):
     pytest.importorskip('mypy')
     run('mypy', '--cache-dir', str(tmp_path))
+
+
+def unlicensed(top: Path) -> list[str]:
+    """Return the files of code and configuration that do not begin with the licence."""
+    paths = [*top.iterdir(), *(path for folder in FOLDERS for path in (top / folder).rglob('*'))]
+    return sorted(
+        path.relative_to(top).as_posix() for path in paths
+        if path.is_file() and any(path.relative_to(top).match(kind) for kind in LICENSED)
+        and not all(line in '\n'.join(path.read_text().splitlines()[:3]) for line in LICENSE))
+
+
+def test_each_file_of_code_and_configuration_states_its_licence():
+    assert not unlicensed(TOP)
+
+
+@pytest.mark.parametrize('where', ['setup.cfg', 'config/viewers/layout.xml', '.ci/run',
+                                   'bin/starcal', 'docs/_static/page.css', 'test/test_new.py'])
+def test_a_file_without_its_licence_is_found(tmp_path, where):
+    path = tmp_path / where
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f'# {LICENSE[0]}\n')
+    assert unlicensed(tmp_path) == [where]
+    path.write_text('# '.join(['', *(f'{line}\n' for line in LICENSE)]))
+    assert unlicensed(tmp_path) == []
 
 
 def test_imports_are_resolved_to_dotted_names():

@@ -1,3 +1,5 @@
+// Copyright 2026 starcal_ros contributors
+// SPDX-License-Identifier: Apache-2.0
 'use strict';
 // Where a finger both scrolls and zooms, zooming is left to the buttons.
 const touch = window.matchMedia('(pointer: coarse)').matches;
