@@ -46,8 +46,9 @@ def help_text(module: str, doc: str | None, takes: str = '') -> str:
     name = module.rpartition('.')[2]
     return (f'usage: ros2 run starcal_ros {name} {takes}{_ROS_ARGUMENTS}\n\n'
             f'{cleandoc(doc or "")}\n\n'
-            f'All parameters, with units: {config_file("tan2018.yaml")}\n'
-            f'Of the running node: ros2 param list, ros2 param describe NODE NAME')
+            f'An example of a parameter file: {config_file("tan2018.yaml")}\n'
+            f'All parameters of the running node: ros2 param list NODE;\n'
+            f'text, unit and range of one: ros2 param describe NODE NAME')
 
 
 def refusal(given: list[str]) -> str:
