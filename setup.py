@@ -71,15 +71,18 @@ setup(
     install_requires=[
         'astropy>=6.0',
         'joblib>=1.3',
+        'lz4>=4.0',
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
         'pillow>=10.0',
         'plotly>=6.0',
+        'pyerfa>=2.0',
         'pyyaml>=6.0',
         'rich>=13.7',
         'rosbags>=0.10.10',
         'scipy>=1.11',
+        'zstandard>=0.22',
     ],
     extras_require={
         # ROS 2 itself, for a machine without it. Never a requirement: a ROS 2 machine has one.

@@ -4,8 +4,10 @@
 
 import ast
 from pathlib import Path
+import re
 import subprocess
 import sys
+from xml.etree import ElementTree
 
 import pytest
 
@@ -19,6 +21,8 @@ ONLY = {'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srv
         '_interfaces': 'nodes', 'mcap': 'recording', 'rosbags': 'recording',
         'matplotlib': 'report', 'plotly': 'report'}
 """Endings of the names of libraries that one wing alone imports."""
+DISTRIBUTIONS = {'PIL': 'pillow', 'erfa': 'pyerfa', 'yaml': 'pyyaml'}
+"""Names on PyPI of the libraries that are imported by another one."""
 LICENSED = ('*.py', '*.yaml', '*.xml', '*.cfg', '*.toml', '*.css', '*.js', '*.rviz', '.gitignore',
             'Makefile', '.ci/run', 'bin/*')
 """Code and configuration: what takes a comment and is no prose."""
@@ -122,6 +126,34 @@ def wing(parts: tuple[str, ...]) -> int:
 
 def test_imports_run_down_the_table_of_wings():
     assert not misplaced(PACKAGE)
+
+
+def declared() -> set[str]:
+    """Return what setup.py requires or has as an extra, and what package.xml depends on."""
+    setup = ast.parse((TOP / 'setup.py').read_text())
+    texts = (node.value for keyword in ast.walk(setup) if isinstance(keyword, ast.keyword)
+             and keyword.arg in ('install_requires', 'extras_require')
+             for node in ast.walk(keyword.value)
+             if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    manifest = ElementTree.parse(TOP / 'package.xml').iterfind('exec_depend')
+    return {*(re.split('[<>=]', text)[0] for text in texts), *(part.text for part in manifest)}
+
+
+def undeclared(package: Path) -> set[str]:
+    """Return the libraries that a package imports and nothing declares."""
+    first = {name.split('.')[0] for path in package.rglob('*.py')
+             for name in imports(path, package.parent)}
+    libraries = first - {package.name} - set(sys.stdlib_module_names)
+    return {name for name in libraries if DISTRIBUTIONS.get(name, name) not in declared()}
+
+
+def test_every_library_that_is_imported_is_declared():
+    assert not undeclared(PACKAGE)
+
+
+def test_a_library_that_nothing_declares_is_found(tmp_path):
+    (tmp_path / 'module.py').write_text('import json, erfa, rclpy.node\nfrom pandas import Series')
+    assert undeclared(tmp_path) == {'pandas'}
 
 
 @pytest.mark.parametrize('where, line', [
