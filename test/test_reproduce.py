@@ -207,6 +207,13 @@ def test_images_that_are_not_there_are_named(tmp_path, monkeypatch, capsys):
     assert real_images.VARIABLE in capsys.readouterr().err
 
 
+def test_studies_of_real_images_say_what_they_need(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv(real_images.VARIABLE)
+    assert cli.main(['reproduce', 'half-real', '--out', str(tmp_path / 'x.json')]) == 2
+    said = capsys.readouterr().err
+    assert f'set {real_images.VARIABLE} to a folder that has tomc16/stars.csv and gran' in said
+
+
 def test_command_draws_the_figure(tmp_path):
     out = tmp_path / 'figures.json'
     assert cli.main(['reproduce', 'fig9', '--duration', '6', '--runs', '2',

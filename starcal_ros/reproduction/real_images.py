@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The star images of others that the studies ``real-sky`` and ``half-real`` need.
 
-They are no part of this package: a folder with a sub-folder for each set, in it ``stars.csv``
-(see `still_images.calibration.read_centroids`) and the images.
+They are no part of this package. The environment variable ``STARCAL_REAL_SKY`` names a folder with
+a sub-folder for each set, ``tomc16`` and ``granasat``, and in each ``stars.csv``: the identified
+stars of its images, as `workflows.still_images.table.read_centroids` reads them.
 """
 
 from __future__ import annotations
@@ -48,8 +49,18 @@ SETS = (ImageSet('tomc16', 808, 608, 3230.22, 0.096, 0.097),
 
 
 def folder() -> Path:
-    """Return where the images are, or would be."""
-    return Path(os.environ.get(VARIABLE, '../shared/data/real_sky'))
+    """Return where the images are, or would be.
+
+    Raises
+    ------
+    ConfigError
+        Where the environment variable does not say it.
+    """
+    if not (name := os.environ.get(VARIABLE, '')):
+        needed = ' and '.join(f'{images.name}/stars.csv' for images in SETS)
+        raise ConfigError(f'star images of others are needed, which are no part of this package: '
+                          f'set {VARIABLE} to a folder that has {needed}')
+    return Path(name)
 
 
 def stars(images: ImageSet) -> StillImages:
@@ -58,7 +69,7 @@ def stars(images: ImageSet) -> StillImages:
     Raises
     ------
     ConfigError
-        Where they are not there.
+        Where they are not there, or nothing says where they are.
     """
     path = folder() / images.name / 'stars.csv'
     if not path.is_file():

@@ -197,7 +197,7 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
 
 def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout: Sequence[bool]
                 ) -> None:
-    """Write the stars of images as `calibration.read_centroids` reads them."""
+    """Write the stars of images as `table.read_centroids` reads them."""
     with Path(path).open('w', newline='', encoding='utf-8') as stream:
         table = csv.writer(stream)
         table.writerow(['image', 'u', 'v', 'catalog_id', 'sigma', 'split'])
