@@ -6,16 +6,50 @@ Data flow
 ---------
 ::
 
-    catalog ── sky ──┬── simulation/ ──── messages ──┐
-                     │   (truth)                     ├── stream ── estimator ── result ── report
-                     └── (apparent places) ──────────┘   (order)   (16 states)
+    images ──► imaging ──► identification ──┐
+    simulation (the truth) ─────────────────┤
+    recording (MCAP, rosbag2) ──────────────┤
+    drivers, over topics ───────────────────┴──► star frames, gyro readings
+                                                             │
+                                                       measurements
+                            ┌────────────────────────────────┤
+                            ▼                                ▼
+                 filter (all 16 states)         calibration (the camera alone)
+                            │                                │
+                            └────────► results, report ◄─────┘
 
-    record   recordings to arrays and back           nodes/  the same over ROS 2 topics
-    config   one scenario, every parameter           cli     the command `starcal`
+`sky` gives all of them the same apparent places, `config` the same parameters. `messages` has what
+is on the topics; `nodes` carries it over ROS 2, and `cli` runs the same on files.
 
-Truth (`simulation`) and belief (`stream`, `estimator`) share models, never objects. Only `nodes`
-imports rclpy. The live estimator node, ``starcal calibrate`` and a Monte Carlo run the same
-`stream.Calibrator` and `estimator.Filter`.
+The wings
+---------
+Each imports itself and those before it in this table (``WINGS`` in ``test/test_style.py``). ::
+
+    core            mathematics on arrays: rotations, the camera, Kalman steps, the image of a star
+    sky             where the stars are: catalogue, apparent places, refraction
+    config          one scenario: every parameter, and the models that are made of it
+    measurements    what sensors deliver, in order, and what every calibration makes of it first
+    filter          the 16-state filter, the calibrator that runs it on messages, the verdict
+    imaging         from the pixels of an image to star centroids
+    identification  which star is which: catalogue numbers for centroids
+    calibration     the camera alone; `methods` has one method a file
+    messages        what is on the topics: their names, the conventions of ROS, CDR bytes
+    recording       MCAP files and rosbag2 directories, read and written
+    results         what a calibration gives: RESULT.json, exports, the store of saved ones
+    workflows       whole calibrations made of the parts: the bootstrap, still images
+    simulation      the truth and the sensors that see it; `errors` has one error source a file
+    evaluation      how good the estimates are: Cramér-Rao bound, consistency, Monte Carlo
+    reproduction    the tables and figures of the papers, beside ours
+    report          what a person reads: tables, figures, the page of a calibration
+    nodes           the ROS 2 nodes, one a file; `base` has what they share
+    cli             the command ``starcal``, one sub-command a file
+
+Truth (`simulation`) and belief (`filter`, `calibration`) share models, never objects: what
+estimates stands before the truth and can not import it. Only `nodes` imports rclpy.
+
+The estimator node and ``starcal calibrate`` run the same `filter.calibrator.Calibrator`, and get
+the same numbers from the same messages. The Monte Carlo of `evaluation` runs what is inside it,
+`filter.error_state.Filter`, on many runs at once (`evaluation.batch`).
 
 Frames
 ------
@@ -34,19 +68,8 @@ Units
 SI and radians; mm for focal length and pixel pitch; pixels from the centre of the detector inside,
 raster pixels (``uv_raster``) on topics. Anything else wears its unit in its name.
 
-Where to look
--------------
-Mathematics: `rotation`, `camera`, `kalman`, `preintegration`. The sky: `catalog`, `sky`, `places`.
-The filter: `estimator`, `acquisition`, `stream`, `timeline`, its options `process_noise`,
-`augmentation`; what its covariance means: `verdict`, `evaluation`.
-The camera alone: `calibration`, one method a file, on `attitude_free` and `invariants` (single
-frames), `interstar`, `interstar_fit` and `spots` (unidentified spots), `bundle`; images of the sky
-in files: `plate_images`, through the air: `plate_air`, `refraction`; the stars of still images:
-`plates`; cameras of the papers: `published_cameras`; all of it in a row: `bootstrap`.
-Images: `simulation.render`, `imaging.centroid`, `imaging.identify`; what they share: `spot`;
-live: `imaging.frame`, `numbering`.
-Conversions to ROS conventions: `ros_conventions`. Calibrations kept: `archive`, `restart`,
-`export`.
+Signs, time, the frame of every covariance and the words of the project are in
+``docs/conventions.md``.
 """
 
 __version__ = '0.1.0'

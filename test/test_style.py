@@ -128,6 +128,15 @@ def test_imports_run_down_the_table_of_wings():
     assert not misplaced(PACKAGE)
 
 
+def test_map_of_the_package_has_the_wings_in_their_order():
+    text = ast.get_docstring(ast.parse((PACKAGE / '__init__.py').read_text())) or ''
+    table = text.partition('\nThe wings\n')[2].partition('\nFrames\n')[0]
+    named = re.findall(r'^    (\w+) {2,}\w', table, re.MULTILINE)
+    assert named == [name for name in WINGS if '.' not in name]
+    assert {*named, 'data'} == {path.name for path in PACKAGE.iterdir() if path.is_dir()
+                                and path.name != '__pycache__'}
+
+
 def declared() -> set[str]:
     """Return what setup.py requires or has as an extra, and what package.xml depends on."""
     setup = ast.parse((TOP / 'setup.py').read_text())
