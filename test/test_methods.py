@@ -5,12 +5,13 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+import re
 
 import numpy as np
 import pytest
 
 from starcal_ros import calibration
-from starcal_ros.config import parameter_file
+from starcal_ros.config import models, parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
@@ -159,6 +160,18 @@ def test_frames_without_any_star_that_is_known_give_no_estimate(method):
     strange = replace(frames[:20], uv_raster=np.full_like(frames[:20].uv_raster, np.nan))
     _, estimates = calibrated(scenario, gyro, strange, [20])
     assert estimates == []
+
+
+def test_example_of_the_documentation_ends_at_the_truth():
+    page = Path(__file__).parents[1] / 'docs' / 'howto' / 'add_method.md'
+    example = re.search(r'```python\n(.*?)```', page.read_text(), re.DOTALL)
+    module = {}
+    exec(example[1], module)
+    scenario, truth, _, frames = recording('angular_distance')
+    method = module['start'](scenario)
+    method.add_frames(frames)
+    assert_true(method.estimate(), truth)
+    assert (method.estimate().sigma < models.nominal_camera(scenario).sigma).all()
 
 
 def test_unknown_method_is_refused_with_the_known_ones():

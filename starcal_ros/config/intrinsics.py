@@ -19,7 +19,7 @@ class IntrinsicsConfig:
     """
 
     method: Annotated[str, Spec(
-        'Calibration method: a file of starcal_ros/calibration, see starcal intrinsics --help')
+        'Calibration method: a file of starcal_ros/calibration/methods')
     ] = 'angular_distance'
     estimate: Annotated[tuple[str, ...], Spec(
         'Intrinsics to estimate; the others stay at their nominal values',
