@@ -68,6 +68,16 @@ def test_linked_files_exist(page):
             target)
 
 
+NAMED = [(page, path) for page, text in PAGES.items() if '/add_' not in page
+         for path in re.findall(r'`([\w.-]+(?:/[\w.-]+)+\.(?:py|md|yaml|xml|json))`', text)]
+"""Files that pages name; those on how to add something name what is not there yet."""
+
+
+@pytest.mark.parametrize('page, path', NAMED)
+def test_named_files_exist(page, path):
+    assert (TOP / path).is_file() or (TOP / 'starcal_ros' / path).is_file()
+
+
 def test_readme_is_one_screen_and_one_figure():
     text = PAGES['README.md']
     assert len(text.splitlines()) <= 70 and text.count('![') == 1
