@@ -1,0 +1,357 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The command starcal: exit status, one line that names the culprit, never a traceback."""
+
+import hashlib
+import json
+from pathlib import Path
+import re
+import subprocess
+import sys
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import starcal_ros
+from starcal_ros.cli import main
+from starcal_ros.config import parameter_file
+from starcal_ros.recording import reader
+from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
+from starcal_ros.results import initial
+from starcal_ros.results.store import CalibrationStore
+from starcal_ros.simulation import sensors
+
+TOP = Path(__file__).resolve().parents[2]
+CONFIG = TOP / 'config' / 'tan2018.yaml'
+SCENARIO = parameter_file.load(CONFIG)
+TOPICS = {'/imu/data_raw': ('sensor_msgs/msg/Imu', 2000),
+          '/star_tracker/centroids': ('sensor_msgs/msg/PointCloud2', 40),
+          '/star_tracker/camera_info': ('sensor_msgs/msg/CameraInfo', 1),
+          '/truth/attitude': ('geometry_msgs/msg/QuaternionStamped', 40),
+          '/truth/parameters': ('std_msgs/msg/Float64MultiArray', 1)}
+
+
+class Done(NamedTuple):
+    """What a command did."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def starcal(capsys):
+    """Return a function that runs the command; an exception that it lets out fails the test."""
+    def run(*words):
+        try:
+            status = main([str(word) for word in words])
+        except SystemExit as end:                   # argparse: usage, --help, --version
+            status = end.code or 0
+        out, err = capsys.readouterr()
+        assert 'Traceback' not in out + err
+        return Done(status, out, err)
+    return run
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return a recording of 20 s that the command itself has made."""
+    path = tmp_path_factory.mktemp('bag') / 'run.mcap'
+    assert main(['simulate', '--out', str(path), '--duration', '20']) == 0
+    return path
+
+
+def assert_refused(done, command, *culprits, status=2):
+    """Check the exit status and the one line of complaint."""
+    assert done.status == status, done.err
+    lines = [line for line in done.err.splitlines() if line.startswith(f'starcal {command}: ')]
+    assert len(lines) == 1
+    assert done.err.rstrip().splitlines()[-1] == lines[0]
+    for culprit in culprits:
+        assert str(culprit) in lines[0]
+
+
+def altered(folder, old, new):
+    """Return a parameter file that differs from the shipped one in one place."""
+    text = CONFIG.read_text()
+    assert text.count(old) == 1
+    path = folder / 'other.yaml'
+    path.write_text(text.replace(old, new))
+    return path
+
+
+# Help
+
+
+def test_help_of_every_command_says_what_it_does(starcal):
+    choices = starcal('no-such-command').err
+    names = re.findall(r'[a-z]+', choices.split('choose from')[1])
+    assert {'demo', 'simulate', 'calibrate', 'play', 'info'} <= set(names)
+    overview = starcal('--help').out
+    for name in names:
+        done = starcal(name, '--help')
+        assert done.status == 0
+        assert done.out.startswith(f'usage: starcal {name}')
+        _, text, *_ = done.out.split('\n\n')
+        assert re.match(r'[A-Z][^.]{20,}\.', text.replace('\n', ' ')), name     # a sentence
+        assert re.search(rf'^ +{name}\s+\w', overview, re.MULTILINE), name
+
+
+def test_unknown_command_is_named(starcal):
+    done = starcal('calibarte')
+    assert done.status == 2 and "'calibarte'" in done.err
+
+
+def test_no_command_is_an_error_that_shows_the_usage(starcal):
+    done = starcal()
+    assert done.status == 2 and done.err.startswith('usage: starcal')
+
+
+def test_version_is_that_of_the_package(starcal):
+    assert starcal('--version') == (0, f'starcal_ros {starcal_ros.__version__}\n', '')
+
+
+def test_exit_status_reaches_the_shell(tmp_path):
+    done = subprocess.run([sys.executable, '-m', 'starcal_ros.cli', 'info', 'missing.mcap'],
+                          cwd=tmp_path, env={'PYTHONPATH': str(TOP)}, text=True,
+                          capture_output=True)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert done.stderr.startswith('starcal info: missing.mcap does not exist')
+    assert done.stderr.count('\n') == 1
+
+
+# Wrong configuration, of any command that takes one
+
+
+@pytest.mark.parametrize('command', ['simulate', 'calibrate'])
+@pytest.mark.parametrize('old, new, culprits', [
+    ('focal_length_mm: 25.5', 'focal_lenght_mm: 25.5',
+     ['camera.focal_lenght_mm', 'did you mean camera.focal_length_mm']),
+    ('width: 1024', 'width: 1024.5', ['camera.width', '1024.5', 'int']),
+    ('rate_hz: 100.0', 'rate_hz: fast', ['gyro.rate_hz', "'fast'", 'float']),
+    ('rate_hz: 100.0', 'rate_hz: 100', ['gyro.rate_hz', 'write 100.0']),
+    ('rate_hz: 100.0', 'rate_hz: -1.0', ['gyro.rate_hz', '-1.0', '1 to 10000 Hz']),
+    ('velocity: geocentre', 'velocity: fast', ['observer.velocity', "'barycentre'"]),
+    ('principal_point_px: [0.0, 0.0]', 'principal_point_px: [0.0]',
+     ['camera.principal_point_px', 'needs 2']),
+    ('/**:', '/**: [', ['not YAML']),
+    ('ros__parameters', 'parameters', ['ros__parameters']),
+], ids=['unknown key', 'float for int', 'string for float', 'int for float', 'out of range',
+        'no such choice', 'too short', 'not YAML', 'not ROS'])
+def test_wrong_parameter_is_named_with_what_is_allowed(starcal, bag, tmp_path, command, old, new,
+                                                       culprits):
+    path, out = altered(tmp_path, old, new), tmp_path / 'out'
+    words = [bag] if command == 'calibrate' else []
+    done = starcal(command, *words, '--config', path, '--out', out)
+    assert_refused(done, command, path, *culprits)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize('command', ['simulate', 'calibrate'])
+def test_configuration_that_can_not_be_read_is_named(starcal, bag, tmp_path, command):
+    words = [bag] if command == 'calibrate' else []
+    for path in (tmp_path / 'missing.yaml', tmp_path, bag):     # absent, a folder, binary
+        done = starcal(command, *words, '--config', path, '--out', tmp_path / 'out')
+        assert_refused(done, command, path, 'cannot be read')
+
+
+@pytest.mark.parametrize('option, value, key', [
+    ('--duration', '-3', 'simulation.duration_s'), ('--duration', 'nan', 'simulation.duration_s'),
+    ('--seed', '-1', 'simulation.seed')])
+def test_impossible_value_on_the_command_line_is_named(starcal, tmp_path, option, value, key):
+    done = starcal('simulate', '--out', tmp_path / 'out.mcap', f'{option}={value}')
+    assert_refused(done, 'simulate', key, value)
+    assert not (tmp_path / 'out.mcap').exists()
+
+
+# Wrong recordings
+
+
+def unreadable(folder):
+    """Make what is not a recording; return each path with what must be said of it."""
+    (folder / 'text.mcap').write_text('not a recording, but longer than the magic bytes\n' * 9)
+    (folder / 'empty.mcap').touch()
+    (folder / 'folder').mkdir()
+    return {folder / 'missing.mcap': 'does not exist', folder / 'text.mcap': 'not an MCAP',
+            folder / 'empty.mcap': 'not an MCAP', folder / 'folder': 'metadata.yaml'}
+
+
+@pytest.mark.parametrize('command', ['info', 'calibrate'])
+def test_path_that_is_no_recording_is_named_with_the_reason(starcal, tmp_path, command):
+    for path, reason in unreadable(tmp_path).items():
+        words = ['--out', tmp_path / 'result.json'] if command == 'calibrate' else []
+        assert_refused(starcal(command, path, *words), command, path, reason)
+    assert not (tmp_path / 'result.json').exists()
+
+
+def test_recording_without_a_sensor_topic_is_named_with_the_topics_it_has(starcal, tmp_path):
+    gyro = sensors.gyro(SCENARIO).next(100)
+    with Writer(tmp_path / 'gyro.mcap') as writer:
+        writer.write_batches(imu_batch('/imu/data_raw', gyro))
+    done = starcal('calibrate', tmp_path / 'gyro.mcap', '--out', tmp_path / 'result.json')
+    assert_refused(done, 'calibrate', tmp_path / 'gyro.mcap', '/star_tracker/centroids',
+                   '/imu/data_raw')
+    with Writer(tmp_path / 'none.mcap'):
+        pass
+    done = starcal('calibrate', tmp_path / 'none.mcap', '--out', tmp_path / 'result.json')
+    assert_refused(done, 'calibrate', tmp_path / 'none.mcap', '/imu/data_raw')
+
+
+def test_recording_that_gives_no_calibration_is_told_with_the_counts(starcal, bag, tmp_path):
+    """Exit status 1: nothing is wrong with the input, but a lens of 50 mm was never there."""
+    path = altered(tmp_path, 'focal_length_mm: 25.5', 'focal_length_mm: 50.0')
+    done = starcal('calibrate', bag, '--config', path, '--out', tmp_path / 'result.json')
+    assert_refused(done, 'calibrate', 'no attitude', '2000 gyro readings', '40 frames', status=1)
+    assert not (tmp_path / 'result.json').exists()
+
+
+@pytest.mark.parametrize('old, new, key', [
+    ('width: 1024', 'width: 2048', 'camera.width'),
+    ('pixel_pitch_mm: 0.00645', 'pixel_pitch_mm: 0.0065', 'camera.pixel_pitch_mm'),
+    ('rate_hz: 100.0', 'rate_hz: 50.0', 'gyro.rate_hz')])
+def test_configuration_that_is_not_the_recordings_own_is_said(starcal, bag, tmp_path, old, new,
+                                                              key):
+    """The recording carries its own: a detector of 2048 px puts u0 at -507 px, at 0.4 px sigma."""
+    path = altered(tmp_path, old, new)
+    done = starcal('calibrate', bag, '--config', path, '--out', tmp_path / 'result.json')
+    assert done.status in (0, 1, 2)
+    assert [line for line in done.err.splitlines() if key in line]
+
+
+# Outputs
+
+
+def test_existing_recording_is_not_overwritten_unless_told_so(starcal, tmp_path):
+    path = tmp_path / 'run.mcap'
+    path.write_text('precious')
+    assert_refused(starcal('simulate', '--out', path, '--duration', '1'), 'simulate', path,
+                   'exists')
+    assert path.read_text() == 'precious'
+    assert starcal('simulate', '--out', path, '--duration', '1', '--overwrite').status == 0
+    assert '/imu/data_raw' in starcal('info', path).out
+
+
+@pytest.mark.parametrize('place', ['nowhere/out', '.'])
+@pytest.mark.parametrize('command', ['simulate', 'calibrate'])
+def test_output_that_can_not_be_written_is_wrong_input(starcal, bag, tmp_path, command, place):
+    """A folder that is absent, and a folder in place of a file."""
+    words = [bag] if command == 'calibrate' else ['--duration', '1', '--overwrite']
+    done = starcal(command, *words, '--out', tmp_path / place)
+    assert_refused(done, command, tmp_path / place, 'cannot be written')
+
+
+def test_figure_that_can_not_be_written_is_wrong_input(starcal, bag, tmp_path):
+    done = starcal('calibrate', bag, '--out', tmp_path / 'result.json',
+                   '--figure', tmp_path / 'nowhere' / 'figure.png')
+    assert_refused(done, 'calibrate', tmp_path / 'nowhere' / 'figure.png')
+
+
+# What goes right
+
+
+def test_info_lists_the_topics_with_types_and_counts(starcal, bag):
+    done = starcal('info', bag)
+    assert (done.status, done.err) == (0, '')
+    for topic, (type_name, count) in TOPICS.items():
+        line, = [line for line in done.out.splitlines() if topic in line]
+        assert type_name in line
+        assert str(count) in re.findall(r'\d+', line.split(type_name)[1])
+    assert 'config.yaml' in done.out and 'truth.json' in done.out
+    assert str(bag) in done.out.replace('\n', '')
+
+
+def test_seed_makes_the_noise_and_nothing_else_does(starcal, tmp_path):
+    """The same seed gives the same messages to the bit, another one others."""
+    runs = []
+    for k, seed in enumerate((7, 7, 8)):
+        path = tmp_path / f'{k}.mcap'
+        assert starcal('simulate', '--out', path, '--duration', '2', '--seed', seed).status == 0
+        runs.append(reader.read(path))
+    first, again, other = runs
+    np.testing.assert_array_equal(first.gyro.rate, again.gyro.rate)
+    np.testing.assert_array_equal(first.frames.uv_raster, again.frames.uv_raster)
+    assert (first.gyro.rate != other.gyro.rate).all()
+    assert first.frames.stamp_ns.tolist() == other.frames.stamp_ns.tolist()
+
+
+def test_simulated_recording_carries_the_scenario_that_was_run(bag):
+    attached = reader.read(bag).attachments['config.yaml'].decode()
+    carried = parameter_file.parse(attached, 'bag')
+    assert carried == SCENARIO.replace({'simulation.duration_s': 20.0})
+
+
+def test_calibrate_writes_the_result_and_says_where_it_came_from(starcal, bag, tmp_path):
+    path = tmp_path / 'result.json'
+    done = starcal('calibrate', bag, '--config', CONFIG, '--out', path)
+    assert done.status == 0
+    outcome = json.loads(path.read_text())
+    assert np.shape(outcome['covariance']) == (16, 16)
+    provenance = outcome['provenance']
+    assert provenance['version'] == starcal_ros.__version__
+    assert provenance['bag_sha256'] == hashlib.sha256(bag.read_bytes()).hexdigest()
+    assert provenance['config_sha256'] == SCENARIO.sha256
+    # to be read by a person: what was estimated
+    for name in ('u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2'):
+        assert re.search(rf'\b{name}\b', done.out)
+    assert 'not converged' in done.out and outcome['converged'] is False        # after 20 s
+    assert '40 frames' in done.out and '2000 gyro readings' in done.out
+
+
+def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path):
+    """The second run starts where the first ended, as the node would."""
+    scenario = SCENARIO.replace({'estimator.calibration_directory': str(tmp_path / 'saved'),
+                                 'estimator.load_calibration': True})
+    config = tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(scenario))
+    words = ['calibrate', bag, '--config', config, '--out', tmp_path / 'result.json']
+    first = starcal(*words, '--export', tmp_path / 'export')
+    assert first.status == 0 and 'has no calibration' in first.err
+    assert sorted(path.name for path in (tmp_path / 'export').iterdir()) == [
+        'camchain.yaml', 'camera_info.yaml', 'imu.yaml']
+    outcome = json.loads((tmp_path / 'result.json').read_text())
+    folder = CalibrationStore(tmp_path / 'saved').save(initial.files(outcome, scenario))
+    second = starcal(*words)
+    assert second.status == 0 and f'calibration {folder}' in ' '.join(second.err.split())
+    better = json.loads((tmp_path / 'result.json').read_text())
+    assert better['provenance']['began_with'] == str(folder)
+    assert (np.diagonal(better['covariance'])[9:] < np.diagonal(outcome['covariance'])[9:]).all()
+
+
+def test_export_to_a_file_is_wrong_input(starcal, bag, tmp_path):
+    done = starcal('calibrate', bag, '--out', tmp_path / 'result.json', '--export', bag)
+    assert_refused(done, 'calibrate', bag, 'cannot be made')
+
+
+def test_play_hands_its_options_to_the_player(starcal, bag, monkeypatch):
+    commands = []
+    monkeypatch.setattr(subprocess, 'call', lambda command: commands.append(command) or 0)
+    assert starcal('play', bag, '--rate', '3', '--start-offset', '2.5', '--loop').status == 0
+    given = dict(word.split(':=') for word in commands[0] if ':=' in word)
+    assert given == {'player.bag': str(bag), 'player.rate': '3.0',
+                     'player.start_offset_s': '2.5', 'player.loop': 'true'}
+
+
+def test_shipped_scenario_is_the_default(starcal, bag, tmp_path):
+    for name, words in (('with', ['--config', CONFIG]), ('without', [])):
+        assert starcal('calibrate', bag, *words, '--out', tmp_path / name).status == 0
+    assert (tmp_path / 'with').read_bytes() == (tmp_path / 'without').read_bytes()
+
+
+def test_calibrate_draws_its_figure(starcal, bag, tmp_path):
+    path = tmp_path / 'figure.png'
+    assert starcal('calibrate', bag, '--out', tmp_path / 'r.json', '--figure', path).status == 0
+    assert path.read_bytes().startswith(b'\x89PNG\r\n\x1a\n')
+
+
+def test_gap_in_a_recording_is_a_warning_and_not_the_end(starcal, tmp_path):
+    gyro, frames = sensors.gyro(SCENARIO).next(1000), sensors.star_tracker(SCENARIO).next(20)
+    with Writer(tmp_path / 'gap.mcap') as writer:
+        for part in (gyro[:400], gyro[600:]):
+            writer.write_batches(imu_batch('/imu/data_raw', part))
+        writer.write_batches(centroids_batch('/star_tracker/centroids', frames))
+    done = starcal('calibrate', tmp_path / 'gap.mcap', '--out', tmp_path / 'r.json')
+    assert done.status == 0
+    line, = [line for line in done.err.splitlines() if line.startswith('warning: ')]
+    assert 'silent for 2.010 s' in line
+    assert json.loads((tmp_path / 'r.json').read_text())['counts']['gyro_gaps'] == 1

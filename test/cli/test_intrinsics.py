@@ -1,0 +1,105 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal intrinsics`` on recordings: with gyro and without, its result and its errors."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from starcal_ros.calibration.methods import predicted_centroid
+from starcal_ros.cli import main
+from starcal_ros.config import parameter_file
+from starcal_ros.config.models import nominal_camera
+from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import LENS, SCALE
+from starcal_ros.recording import reader
+from starcal_ros.recording.reader import RecordError
+from starcal_ros.recording.writer import Writer, centroids_batch
+from starcal_ros.simulation import sensors
+from starcal_ros.simulation.truth import Truth
+
+CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
+SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 150.0})
+TRUE = Truth.from_scenario(SCENARIO).intrinsics
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return a recording of the star tracker alone: one slew."""
+    path = tmp_path_factory.mktemp('bag') / 'stars.mcap'
+    tracker = sensors.star_tracker(SCENARIO)
+    with Writer(path) as writer:
+        writer.write_batches(centroids_batch('/star_tracker/centroids',
+                                             tracker.next(tracker.count)))
+    return path
+
+
+def test_recording_without_gyro_gives_the_camera(bag, tmp_path, capsys):
+    out = tmp_path / 'camera.json'
+    assert main(['intrinsics', str(bag), '--method', 'bundle', '--out', str(out)]) == 0
+    result = json.loads(out.read_text())
+    error = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS]) - TRUE
+    assert error @ np.linalg.solve(result['covariance'], error) < 24.3  # 0.999 of chi-square, 7
+    assert result['counts']['frames'] == 300 and result['method'] == 'bundle'
+    assert list(result['intrinsics_sigma']) == list(INTRINSICS_KEYS)
+    assert len(result['provenance']['bag_sha256']) == 64
+    assert 'bundle' in capsys.readouterr().out
+
+
+def test_what_is_not_estimated_is_held(bag, tmp_path, capsys):
+    out = tmp_path / 'camera.json'
+    assert main(['intrinsics', str(bag), '--method', 'bundle', '--estimate', 'f', 'k1', '--out',
+                 str(out)]) == 0
+    sigma = json.loads(out.read_text())['intrinsics_sigma']
+    assert [key for key, value in sigma.items() if value > 0.0] == ['f_mm', 'k1']
+    assert 'held' in capsys.readouterr().out
+
+
+def test_a_method_that_needs_the_gyro_says_so(bag, capsys):
+    assert main(['intrinsics', str(bag), '--method', 'predicted_centroid']) == 1
+    assert 'no camera from 300 frames' in capsys.readouterr().err
+
+
+def test_calibrate_refuses_a_recording_without_gyro(bag):
+    with pytest.raises(RecordError, match='no topic /imu/data_raw'):
+        reader.read(bag)
+    assert not len(reader.read(bag, needs_gyro=False).gyro)
+
+
+@pytest.mark.parametrize('words, culprit', [
+    (['--estimate', 'f', 'k3'], "intrinsics.estimate: got 'k3'"),
+    (['--singular-values', '4'], 'intrinsics.singular_values: got 4'),
+    (['--combination-model', '5'], 'intrinsics.combination_model: got 5'),
+    (['--method', 'guess'], "got 'guess', allowed are"),
+    (['--report', 'x.html'], '--report: is for still images'),
+])
+def test_wrong_options_are_named(words, culprit, bag, capsys):
+    assert main(['intrinsics', str(bag), *words]) == 2
+    assert culprit in capsys.readouterr().err
+
+
+def test_methods_begin_where_the_configuration_says():
+    scenario = SCENARIO.replace({'intrinsics.estimate': ('f', 'k1')})
+    begun = nominal_camera(scenario)
+    np.testing.assert_array_equal(np.array(INTRINSICS)[begun.sigma > 0.0], ['f', 'k1'])
+    assert begun.sigma[2] == pytest.approx(scenario.estimator.initial_sigma.focal_length_mm)
+    assert begun.intrinsics[2] == scenario.camera.focal_length_mm
+    np.testing.assert_allclose(nominal_camera(SCENARIO).sigma,
+                               Filter(SCENARIO).initial_sigma[LENS])
+
+
+def test_filter_begins_with_what_is_known_of_the_camera():
+    rng = np.random.default_rng(1)
+    root = SCALE[LENS, None] * rng.standard_normal((7, 7))
+    known = CameraEstimate(TRUE, root @ root.T, 10, 100)
+    filter_ = predicted_centroid.begin(SCENARIO, known).filter
+    belief = filter_.begin(np.eye(3))
+    np.testing.assert_array_equal(belief.nominal.intrinsics, TRUE)
+    scale = np.outer(known.sigma, known.sigma)
+    np.testing.assert_allclose(belief.covariance[LENS, LENS] / scale, known.covariance / scale,
+                               atol=1e-9)
+    np.testing.assert_allclose(belief.sigma[3:9], Filter(SCENARIO).initial_sigma[3:9])

@@ -1,0 +1,122 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A study gives the same numbers however it is cut up, spread, or interrupted."""
+
+from dataclasses import fields
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from starcal_ros import cli
+from starcal_ros.config import parameter_file
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.evaluation import montecarlo
+from starcal_ros.evaluation.batch import Runs, run_batch
+from starcal_ros.evaluation.montecarlo import BATCH, MonteCarlo
+from starcal_ros.filter.states import STATE_NAMES
+
+CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
+SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 20.0})
+STUDY = MonteCarlo.of(SCENARIO, BATCH + 3, 'star_tracker.centroid_sigma_px=0.05,0.1')
+
+
+def assert_same(runs, expected):
+    for field in fields(Runs):
+        np.testing.assert_allclose(getattr(runs, field.name), getattr(expected, field.name),
+                                   rtol=1e-9, err_msg=field.name)
+
+
+@pytest.fixture(scope='module')
+def results(tmp_path_factory):
+    return montecarlo.run(STUDY, tmp_path_factory.mktemp('study') / 'parts')
+
+
+def test_each_value_has_all_its_runs_in_order(results):
+    assert [runs.seed.tolist() for runs in results] == [list(range(1, BATCH + 4))] * 2
+
+
+def test_batches_and_processes_do_not_show_in_the_numbers(results):
+    for value, runs in zip(STUDY.values, results):
+        assert_same(runs, run_batch(STUDY.at(value), range(1, BATCH + 4)))
+
+
+def test_swept_parameter_counts(results):
+    """Twice the noise: the camera is known half as well, in T18's Table 4 and here."""
+    fine, coarse = (runs.sigma[:, -1, 11].mean() for runs in results)
+    assert coarse / fine == pytest.approx(2.0, rel=0.1)
+
+
+def test_interrupted_study_goes_on_where_it_was(results, tmp_path):
+    parts = tmp_path / 'parts'
+    montecarlo.run(STUDY, parts)
+    names = sorted(parts.iterdir())
+    assert len(names) == 4
+    names[1].unlink()
+    (parts / 'cut_off.npz.part').write_bytes(b'half a file')
+    before = {name: name.stat().st_mtime_ns for name in names if name.exists()}
+    progress = []
+    again = montecarlo.run(STUDY, parts, on_progress=progress.append)
+    assert progress == [0.75, 1.0]
+    assert all(name.stat().st_mtime_ns == when for name, when in before.items())
+    for runs, expected in zip(again, results):
+        assert_same(runs, expected)
+
+
+def test_summary_and_file_hold_what_others_need(results, tmp_path):
+    out, parts = tmp_path / 'study.json', tmp_path / 'parts'
+    parts.mkdir()
+    montecarlo.finish(STUDY, results, out, parts)
+    summary = json.loads(out.read_text())
+    assert summary['sweep'] == 'star_tracker.centroid_sigma_px'
+    point = summary['points'][1]
+    assert point['star_tracker.centroid_sigma_px'] == 0.1 and point['runs'] == BATCH + 3
+    assert set(point['states']) == set(STATE_NAMES)
+    assert {'rms', 'bound', 'ratio'} <= set(point['states']['f'])
+    assert {'nees_mean', 'nis_mean'} <= set(point)
+    with np.load(tmp_path / 'study.npz') as arrays:
+        assert arrays['seed'].tolist() == list(range(1, BATCH + 4)) * 2
+        assert parameter_file.parse(str(arrays['config']), 'study') == SCENARIO
+    assert not parts.exists()
+
+
+def test_command_writes_a_summary(tmp_path, capsys):
+    out = tmp_path / 'mc.json'
+    status = cli.main(['montecarlo', '--config', str(CONFIG), '--runs', '3', '--duration', '5',
+                       '--out', str(out)])
+    assert status == 0
+    assert json.loads(out.read_text())['runs'] == 3
+    assert (tmp_path / 'mc.npz').is_file()
+    assert sorted(tmp_path.iterdir()) == [out, tmp_path / 'mc.npz']
+    assert 'NEES' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('sweep, culprit', [
+    ('star_tracker.centroid_sigma=1.0', 'did you mean star_tracker.centroid_sigma_px'),
+    ('star_tracker.centroid_sigma_px=', 'got no values'),
+    ('star_tracker.centroid_sigma_px=a,b', "got 'a,b', needs float"),
+    ('star_tracker.centroid_sigma_px=-1.0', 'got -1.0, allowed is'),
+    ('camera.distortion=0.0,0.1', 'needs a list'),
+])
+def test_wrong_sweep_is_named(sweep, culprit, capsys):
+    with pytest.raises(ConfigError, match=culprit):
+        MonteCarlo.of(SCENARIO, 3, sweep)
+    assert cli.main(['montecarlo', '--sweep', sweep]) == 2
+    assert culprit in capsys.readouterr().err
+
+
+def test_same_study_on_a_dask_cluster_gives_the_same_numbers(results, tmp_path):
+    distributed = pytest.importorskip('distributed')
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
+                                  host='127.0.0.1') as cluster:
+        with distributed.Client(cluster):
+            spread = montecarlo.run(STUDY, tmp_path / 'parts', backend='dask')
+    for runs, expected in zip(spread, results):
+        assert_same(runs, expected)
+
+
+def test_absent_cluster_is_named(capsys):
+    pytest.importorskip('distributed')
+    assert cli.main(['montecarlo', '--runs', '1', '--dask', 'nonsense://x']) == 2
+    assert 'nonsense' in capsys.readouterr().err

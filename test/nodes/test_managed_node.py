@@ -1,0 +1,209 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimator and recorder as managed nodes, both in one process, led from outside."""
+
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip('rclpy')
+
+from lifecycle_msgs.msg import Transition, TransitionEvent  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
+from rclpy.qos import LivelinessPolicy, QoSProfile  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
+import yaml  # noqa: E402
+
+from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.filter.offline import calibrate  # noqa: E402
+from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
+from starcal_ros.messages import conventions  # noqa: E402
+from starcal_ros.recording import reader  # noqa: E402
+from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
+
+CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
+SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 30.0})
+GYRO_QOS = QoSProfile(depth=5000, deadline=Duration(seconds=2), lifespan=Duration(seconds=3600),
+                      liveliness=LivelinessPolicy.AUTOMATIC,
+                      liveliness_lease_duration=Duration(seconds=20))
+
+
+@pytest.fixture(scope='module')
+def readings():
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    return gyro.next(gyro.count), tracker.next(tracker.count)
+
+
+@pytest.fixture(scope='module')
+def peer():
+    rclpy.init()
+    try:
+        yield Peer(gyro_qos=GYRO_QOS)
+    finally:
+        rclpy.shutdown()
+
+
+@pytest.fixture(scope='module')
+def output(tmp_path_factory):
+    return tmp_path_factory.mktemp('recording') / 'run.mcap'
+
+
+@pytest.fixture(scope='module')
+def process(start_once, output):
+    """Both nodes; the tests below lead them through their lives, in this order."""
+    return start_once('composed', '--params-file', str(CONFIG), '-p', 'autostart:=false',
+                      '-p', f'recorder.output:={output}', names=('estimator', 'recorder'))
+
+
+def state(peer, name):
+    """Return the state of a node."""
+    return peer.call(GetState, f'{name}/get_state').current_state.label
+
+
+def change(peer, name, transition):
+    """Ask for a transition; return whether it was done."""
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return peer.call(ChangeState, f'{name}/change_state', request).success
+
+
+def both(peer, transition):
+    """Ask both nodes for a transition."""
+    return [change(peer, name, transition) for name in ('estimator', 'recorder')]
+
+
+def part(readings, low_s, high_s):
+    """Return the readings of a part of the run, both ends included."""
+    gyro, frames = readings
+    rows = slice(round(100 * low_s), round(100 * high_s))
+    return gyro[rows], frames[round(2 * low_s):round(2 * high_s)]
+
+
+def test_node_without_autostart_waits_unconfigured(process, peer):
+    assert [state(peer, name) for name in ('estimator', 'recorder')] == ['unconfigured'] * 2
+    assert peer.node.count_publishers('starcal/state') == 0
+    assert peer.node.count_subscribers('imu/data_raw') == 0
+
+
+def test_configured_node_subscribes_to_nothing(process, peer):
+    events = peer.listen(TransitionEvent, 'estimator/transition_event')
+    peer.until(lambda: peer.node.count_publishers('estimator/transition_event') == 1)
+    assert both(peer, Transition.TRANSITION_CONFIGURE) == [True, True]
+    assert [state(peer, name) for name in ('estimator', 'recorder')] == ['inactive'] * 2
+    peer.until(lambda: peer.node.count_publishers('starcal/state') == 1)
+    assert peer.node.count_subscribers('imu/data_raw') == 0
+    peer.until(lambda: [event.goal_state.label for event in events] == ['configuring', 'inactive'])
+
+
+def test_active_node_works_and_inactive_node_misses_what_the_stamps_say(process, peer, readings):
+    """Active for ten seconds, inactive for ten, active for ten."""
+    assert both(peer, Transition.TRANSITION_ACTIVATE) == [True, True]
+    peer.until(lambda: peer.gyro.get_subscription_count() == 2
+               and peer.frames.get_subscription_count() == 2)
+    peer.send(*part(readings, 0.0, 10.0))
+    peer.until(lambda: len(peer.states) == 20)
+    assert both(peer, Transition.TRANSITION_DEACTIVATE) == [True, True]
+    peer.until(lambda: not peer.gyro.get_subscription_count())
+    peer.send(*part(readings, 10.0, 20.0))
+    late = peer.listen(Float64MultiArray, 'starcal/state', LATCHED)
+    peer.until(lambda: late)                # what it has found out is still there
+    silent = len(peer.diagnostics)
+    assert both(peer, Transition.TRANSITION_ACTIVATE) == [True, True]
+    assert len(peer.diagnostics) - silent <= 1
+    peer.until(lambda: peer.gyro.get_subscription_count() == 2
+               and peer.frames.get_subscription_count() == 2)
+    peer.send(*part(readings, 20.0, 30.0))
+    peer.until(lambda: len(peer.states) == 40)
+    values = peer.values()
+    assert (values['missing_gyro'], values['missing_frames']) == ('1000', '20')
+    assert (values['gyro'], values['frames'], values['restarts']) == ('2000', '40', '0')
+
+
+def test_recorder_has_both_parts_and_the_nine_qos_policies_of_the_sensor(
+        process, peer, readings, output):
+    assert both(peer, Transition.TRANSITION_DEACTIVATE) == [True, True]
+    assert change(peer, 'recorder', Transition.TRANSITION_CLEANUP)
+    recording = reader.read(output)
+    expected = GyroSamples.concatenate((part(readings, 0., 10.)[0], part(readings, 20., 30.)[0]))
+    np.testing.assert_array_equal(recording.gyro.stamp_ns, expected.stamp_ns)
+    counts = {topic.topic: topic.count for topic in reader.summary(output).topics}
+    assert counts['/starcal/state'] == counts['/starcal/camera_info'] == 40     # none twice
+    channel = next(channel for channel in McapFile(output).channels.values()
+                   if channel.topic == '/imu/data_raw')
+    offered, = yaml.safe_load(channel.metadata['offered_qos_profiles'])
+    assert offered == {
+        'history': 'keep_last', 'depth': 100, 'reliability': 'reliable', 'durability': 'volatile',
+        'deadline': {'sec': 2, 'nsec': 0}, 'lifespan': {'sec': 3600, 'nsec': 0},
+        'liveliness': 'automatic', 'liveliness_lease_duration': {'sec': 20, 'nsec': 0},
+        'avoid_ros_namespace_conventions': False}
+
+
+def test_offline_calibration_of_the_recording_gives_the_same_numbers(process, peer, output):
+    recording = reader.read(output)
+    calibrator, _ = calibrate(recording.gyro, recording.frames, SCENARIO)
+    np.testing.assert_array_equal(
+        peer.states[-1].data, conventions.state_vector(calibrator.stamp_ns, calibrator.belief))
+
+
+def test_what_keeps_a_node_from_its_next_state_is_said_and_it_stays(process, peer):
+    assert not change(peer, 'recorder', Transition.TRANSITION_CONFIGURE)
+    assert state(peer, 'recorder') == 'unconfigured'
+    assert any('configure: ' in line and 'run.mcap exists' in line for line in process.stderr)
+
+
+def test_process_ends_when_both_nodes_are_shut_down(process, peer):
+    assert change(peer, 'recorder', Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    assert process.poll() is None
+    assert change(peer, 'estimator', Transition.TRANSITION_INACTIVE_SHUTDOWN)
+    assert process.wait(PATIENCE_S) == 0
+
+
+def test_signal_ends_a_node_that_was_never_configured(start_once, peer):
+    recorder = start_once('recorder', '-p', 'autostart:=false', '-r', '__node:=waiting')
+    assert state(peer, 'waiting') == 'unconfigured'
+    recorder.send_signal(signal.SIGINT)
+    assert recorder.wait(PATIENCE_S) == 0
+
+
+# A node whose transition fails; argv: the step, the error.
+FAILING = """
+import sys
+from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.run_loop import run
+from starcal_ros.config.parameter import ConfigError
+
+
+class Failing(ManagedNode):
+    def __init__(self):
+        super().__init__('failing')
+        setattr(self, sys.argv[1], self.fail)
+        self.start()
+        print('started', flush=True)
+
+    def fail(self):
+        raise {'ConfigError': ConfigError, 'Defect': ZeroDivisionError}[sys.argv[2]]('told')
+
+
+sys.exit(run(Failing, sys.argv[:1]))
+"""
+
+
+@pytest.mark.parametrize('step', ['configure', 'activate', 'deactivate'])
+@pytest.mark.parametrize('error, status', [('ConfigError', 2), ('Defect', 1)])
+def test_error_in_a_transition_is_not_swallowed(step, error, status):
+    process = subprocess.Popen([sys.executable, '-c', FAILING, step, error], text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    if step == 'deactivate':
+        assert process.stdout.readline() == 'started\n'
+        process.send_signal(signal.SIGINT)
+    errors = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == status
+    assert errors.strip().splitlines()[-1] == (
+        'error: told' if status == 2 else 'ZeroDivisionError: told')
+    assert ('Traceback' in errors) == (status == 1)

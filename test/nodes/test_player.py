@@ -1,0 +1,181 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Time over ROS 2: the player's /clock, pauses, offsets and loops, and who lives by them."""
+
+from pathlib import Path
+import signal
+
+import pytest
+
+rclpy = pytest.importorskip('rclpy')
+
+from builtin_interfaces.msg import Time  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import Imu  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from peer import LATCHED, PATIENCE_S  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
+from starcal_ros.simulation.truth import Truth  # noqa: E402
+from starcal_ros.simulation.write_recording import simulate  # noqa: E402
+
+# A gyro so slow that this process can keep up, message by message, at twenty times its speed.
+SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
+    {'simulation.duration_s': 40.0, 'gyro.rate_hz': 10.0})
+START_NS = Truth.from_scenario(SCENARIO).motion.start_ns
+
+
+def ns(stamp):
+    """Return a stamp in ns."""
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """Return a folder with a recording and its configuration."""
+    folder = tmp_path_factory.mktemp('bag')
+    simulate(SCENARIO, folder / 'run.mcap')
+    (folder / 'config.yaml').write_text(parameter_file.dump(SCENARIO))
+    return folder
+
+
+def test_clock_stands_until_it_begins_and_while_it_is_stopped():
+    now = [5]
+    clock = SimulatedClock(1000, 2.0, lambda: now[0])
+    assert clock.now_ns() == 999
+    clock.stop()
+    clock.begin()
+    now[0] = 50
+    assert clock.now_ns() == 1000
+    clock.go_on()
+    now[0] = 60
+    assert clock.now_ns() == 1020
+    clock.stop()
+    now[0] = 1000
+    assert clock.now_ns() == 1020
+    clock.go_on()
+    now[0] = 1010
+    assert clock.now_ns() == 1040
+    clock.begin()
+    assert clock.now_ns() == 1000
+
+
+def test_clock_does_not_begin_before_there_is_time():
+    """With use_sim_time, zero is what a node has before the first /clock."""
+    now = [0]
+    clock = SimulatedClock(1000, 1.0, lambda: now[0])
+    clock.begin()
+    assert clock.now_ns() == 1000
+    now[0] = 10**18
+    assert clock.now_ns() == 1000
+    now[0] += 7
+    assert clock.now_ns() == 1007
+
+
+def test_player_starts_late_loops_pauses_and_tells_the_time(start, peer, folder):
+    imus, clocks = peer.listen(Imu, 'imu/data_raw', 5000), peer.listen(Clock, '/clock')
+    truth = peer.listen(Float64MultiArray, 'truth/parameters', LATCHED)
+    player = start('player', '-p', f'player.bag:={folder / "run.mcap"}', '-p', 'player.rate:=20.0',
+                   '-p', 'player.start_offset_s:=30.0', '-p', 'player.loop:=true',
+                   '-p', 'player.wait_for_subscribers:=1',
+                   '-p', "player.topics:=['imu/data_raw', 'truth/parameters']")
+
+    def laps(stamps):
+        return sum(later < before for before, later in zip(stamps, stamps[1:]))
+
+    def stamps():
+        return [ns(imu.header.stamp) for imu in imus]
+
+    def times():
+        return [ns(message.clock) for message in clocks]
+
+    peer.until(lambda: laps(stamps()) >= 2)
+    lap = [START_NS + 30 * 10**9 + k * 10**8 for k in range(101)]
+    assert stamps()[:202] == lap * 2
+    assert truth                                # latched before the start
+    peer.until(lambda: laps(times()) >= 2)      # the clock goes back with the messages
+    assert lap[0] - 1 <= min(times()) and max(times()) <= lap[-1]
+    assert peer.call(Trigger, 'player/pause').message == 'paused'
+    peer.until(lambda: quiet(peer, imus))       # what was under way has come
+    clocks.clear()
+    count = len(imus)
+    peer.until(lambda: len(clocks) >= 5)
+    assert len(imus) == count and len(set(times())) == 1
+    assert peer.call(Trigger, 'player/resume').message == 'playing'
+    peer.until(lambda: len(imus) > count + 10)
+    player.send_signal(signal.SIGINT)
+    assert player.wait(PATIENCE_S) == 0
+
+
+def quiet(peer, heard):
+    """Return whether nothing comes for ten messages of others, or as many moments."""
+    before = len(heard)
+    for _ in range(10):
+        rclpy.spin_once(peer.node, timeout_sec=0.05)
+    return len(heard) == before
+
+
+def test_estimator_starts_again_with_each_lap_and_lives_by_the_clock(start, peer, folder):
+    estimator = start('estimator', '--params-file', str(folder / 'config.yaml'),
+                      '-p', 'use_sim_time:=true')
+    player = start('player', '-p', f'player.bag:={folder / "run.mcap"}', '-p', 'player.rate:=40.0',
+                   '-p', 'player.loop:=true', '-p', 'player.wait_for_subscribers:=1')
+    peer.until(lambda: peer.diagnostics and went_back(peer.states)
+               and int(values(peer.diagnostics[-1])['restarts']) >= 2)
+    now_ns = ns(peer.diagnostics[-1].header.stamp)
+    assert START_NS <= now_ns <= START_NS + 40 * 10**9
+    assert int(values(peer.diagnostics[-1])['frames']) <= 80
+    for process in (player, estimator):
+        process.send_signal(signal.SIGINT)
+    said = estimator.communicate(timeout=PATIENCE_S)[1]
+    assert estimator.returncode == 0
+    assert f'stamps went back by 39.900 s to {START_NS + 10**8} ns: started again' in said
+
+
+def went_back(states):
+    """Tell whether a state is earlier than the one before it."""
+    seconds = [state.data[0] for state in states]
+    return any(later < before for before, later in zip(seconds, seconds[1:]))
+
+
+def values(message):
+    """Return what diagnostics say of the calibration, by key."""
+    return {item.key: item.value for item in message.status[0].values}
+
+
+def test_offset_beyond_the_end_is_refused(start, folder):
+    player = start('player', '-p', f'player.bag:={folder / "run.mcap"}',
+                   '-p', 'player.start_offset_s:=41.0')
+    said = player.communicate(timeout=PATIENCE_S)[1]
+    assert player.returncode == 2
+    assert 'player.start_offset_s: got 41.0' in said and 'lasts 40.000 s' in said
+
+
+def test_simulator_with_use_sim_time_follows_the_clock(start, peer, folder):
+    """Its own time passes as /clock does, whatever that shows."""
+    sim = start('gyro_sim', '--params-file', str(folder / 'config.yaml'),
+                '-p', 'use_sim_time:=true', '-p', 'simulation.wait_for_subscribers:=1',
+                '-p', 'simulation.real_time_factor:=1.0')
+    clock = peer.node.create_publisher(Clock, '/clock', 1)
+
+    def show(seconds):
+        clock.publish(Clock(clock=Time(sec=seconds)))
+        rclpy.spin_once(peer.node, timeout_sec=0.02)
+        return True
+
+    peer.until(lambda: show(1000) and clock.get_subscription_count())
+    for _ in range(25):
+        show(1000)
+    imus = peer.listen(Imu, 'imu/data_raw', 5000)
+    peer.until(lambda: peer.node.count_publishers('imu/data_raw') == 2)
+    for _ in range(25):
+        show(1000)
+    assert imus == []
+    peer.until(lambda: show(1003) and len(imus) >= 30)
+    for _ in range(25):
+        show(1003)
+    assert [ns(imu.header.stamp) - START_NS for imu in imus] == [k * 10**8 for k in range(1, 31)]
+    sim.send_signal(signal.SIGINT)
+    assert sim.wait(PATIENCE_S) == 0

@@ -1,0 +1,588 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings written, read by others, read back, and broken in every way."""
+
+import hashlib
+from pathlib import Path
+import shutil
+
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+import mcap.writer
+import numpy as np
+import pytest
+from rosbags import rosbag2
+import yaml
+
+from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
+from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
+from starcal_ros.recording.qos import LATCHED, Qos
+from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, RecordError, read, summary
+from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
+                                          typestore)
+
+EXTERNAL = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'external_tan2018'
+START_NS = 1_782_993_600_000_000_000
+
+
+def sensors(n=1000, seed=5):
+    """Make 100 Hz samples and 2 Hz frames with 0 to 6 stars."""
+    rng = np.random.default_rng(seed)
+    gyro = GyroSamples(START_NS + np.arange(1, n + 1) * 10**7, rng.normal(size=(n, 3)))
+    counts = rng.integers(0, 7, n // 50)
+    m = counts.sum()
+    frames = Frames(START_NS + np.arange(1, n // 50 + 1) * 500_000_000 - 3_000_000,
+                    np.concatenate(([0], np.cumsum(counts))), rng.uniform(0, 2048, (m, 2)),
+                    rng.integers(1, 9, m) / 64, rng.integers(8, 26, m) / 4,
+                    rng.integers(0, 118323, m))
+    return gyro, frames
+
+
+GYRO, FRAMES = sensors()
+
+
+def write(path, gyro=GYRO, frames=FRAMES, gyro_topic=GYRO_TOPIC, frames_topic=FRAMES_TOPIC):
+    """Write a recording with two attachments."""
+    with Writer(path) as writer:
+        writer.attach('config.yaml', b'a: 1\n', 'application/yaml')
+        writer.write_batches(imu_batch(gyro_topic, gyro), centroids_batch(frames_topic, frames))
+        writer.attach('truth.json', b'{}', 'application/json')
+    return path
+
+
+def messages():
+    """Return (topic, type, log time, CDR) of all messages in the order of time."""
+    rows = [(GYRO_TOPIC, IMU_TYPE, t, row.tobytes())
+            for t, row in zip(GYRO.stamp_ns.tolist(), encode_imu(GYRO))]
+    rows += [(FRAMES_TOPIC, CLOUD_TYPE, t, data)
+             for t, data in zip(FRAMES.stamp_ns.tolist(), encode_centroids(FRAMES))]
+    return sorted(rows, key=lambda row: row[2])
+
+
+def write_with_mcap(path, rows, **options):
+    """Write messages with the library of MCAP itself."""
+    with path.open('wb') as stream:
+        writer = mcap.writer.Writer(stream, **options)
+        writer.start('ros2', 'test')
+        channels = {}
+        for topic, type_name, log_time, data in rows:
+            if topic not in channels:
+                schema = writer.register_schema(type_name, 'ros2msg', b'')
+                channels[topic] = writer.register_channel(topic, 'cdr', schema)
+            writer.add_message(channels[topic], log_time, data, log_time)
+        writer.finish()
+    return path
+
+
+def write_with_rosbags(path, rows, prepare=lambda bag: None, **options):
+    """Write messages as a rosbag2 directory."""
+    bag = rosbag2.Writer(path, version=9, **options)
+    prepare(bag)
+    with bag:
+        topics = {}
+        for topic, type_name, log_time, data in rows:
+            if topic not in topics:
+                topics[topic] = bag.add_connection(topic, type_name, typestore=typestore())
+            bag.write(topics[topic], log_time, data)
+    return path
+
+
+def assert_same(one, other):
+    """Compare samples or frames, NaN equal to NaN."""
+    for name in vars(one):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def assert_holds_all(recording, warnings=()):
+    """Check that a recording is that of `sensors`."""
+    assert_same(recording.gyro, GYRO)
+    assert_same(recording.frames, FRAMES)
+    assert recording.warnings == warnings
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    path = write(tmp_path / 'run.mcap')
+    recording = read(path)
+    assert_holds_all(recording)
+    assert recording.attachments == {'config.yaml': b'a: 1\n', 'truth.json': b'{}'}
+    assert (recording.gyro_topic, recording.frames_topic) == (GYRO_TOPIC, FRAMES_TOPIC)
+    assert recording.path == path
+    assert recording.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_the_external_recording_is_read():
+    if not EXTERNAL.exists():
+        pytest.skip('the external recording lies beside the checkout, and is not there')
+    recording = read(EXTERNAL)
+    assert (len(recording.gyro), len(recording.frames)) == (30_000, 598)
+    assert np.isfinite(recording.gyro.rate).all() and np.isfinite(recording.frames.uv_raster).all()
+    assert (recording.frames.catalog_id > 0).all() and not recording.warnings
+    assert_same(read(EXTERNAL / 'external_tan2018.mcap').gyro, recording.gyro)
+
+
+def test_the_library_of_mcap_reads_every_message_in_order(tmp_path):
+    with write(tmp_path / 'run.mcap').open('rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = [(channel.topic, schema.name, message.log_time, message.data) for
+                 schema, channel, message in reader.iter_messages(log_time_order=False)]
+        assert sorted(found) == sorted(messages())
+        assert [row[2] for row in found] == sorted(row[2] for row in found)
+        assert {a.name: a.data for a in reader.iter_attachments()} == {
+            'config.yaml': b'a: 1\n', 'truth.json': b'{}'}
+        statistics = reader.get_summary().statistics
+        assert statistics.message_count == len(GYRO) + len(FRAMES)
+        assert statistics.chunk_count == len(reader.get_summary().chunk_indexes)
+        header = reader.get_header()
+        assert header.profile == 'ros2' and header.library.startswith('starcal_ros ')
+
+
+def test_messages_are_numbered_topic_by_topic(tmp_path):
+    with write(tmp_path / 'run.mcap').open('rb') as stream:
+        found = [(channel.topic, message.sequence)
+                 for _, channel, message in make_reader(stream).iter_messages()]
+    assert [n for topic, n in found if topic == GYRO_TOPIC] == list(range(len(GYRO)))
+    assert [n for topic, n in found if topic == FRAMES_TOPIC] == list(range(len(FRAMES)))
+
+
+def test_every_checksum_and_the_summary_offsets_are_right(tmp_path):
+    with write(tmp_path / 'run.mcap').open('rb') as stream:
+        records = list(StreamReader(stream, validate_crcs=True, emit_chunks=False).records)
+    offsets = [record for record in records if type(record).__name__ == 'SummaryOffset']
+    assert [record.group_opcode for record in offsets] == [3, 4, 0x0B, 8, 0x0A]
+
+
+def test_rosbags_reads_what_is_written(tmp_path):
+    with rosbag2.Reader(write(tmp_path / 'run.mcap')) as bag:
+        found = [(c.topic, c.msgtype, t, bytes(data)) for c, t, data in bag.messages()]
+        assert sorted(found) == sorted(messages())
+        first = typestore().deserialize_cdr(found[0][3], found[0][1])
+        assert first.angular_velocity.x == GYRO.rate[0, 0]
+        for connection in bag.connections:
+            qos, = connection.ext.offered_qos_profiles
+            assert (qos.reliability.name, qos.durability.name, qos.history.name, qos.depth) == (
+                'RELIABLE', 'VOLATILE', 'KEEP_LAST', 100)
+            assert connection.msgdef.data == typestore().generate_msgdef(
+                connection.msgtype, ros_version=2)[0]
+
+
+def test_channels_carry_what_rosbag2_records(tmp_path):
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write(GYRO_TOPIC, IMU_TYPE, encode_imu(GYRO[:1])[0].tobytes(), START_NS,
+                     qos=Qos(depth=7, reliability='best_effort'))
+    with (tmp_path / 'run.mcap').open('rb') as stream:
+        channel, = make_reader(stream).get_summary().channels.values()
+    endless = {'sec': 9223372036, 'nsec': 854775807}
+    assert yaml.safe_load(channel.metadata['offered_qos_profiles']) == [{
+        'history': 'keep_last', 'depth': 7, 'reliability': 'best_effort',
+        'durability': 'volatile', 'deadline': endless, 'lifespan': endless,
+        'liveliness': 'automatic', 'liveliness_lease_duration': endless,
+        'avoid_ros_namespace_conventions': False}]
+    assert channel.metadata['topic_type_hash'] == typestore().hash_rihs01(IMU_TYPE)
+
+
+def test_a_chunk_holds_no_more_than_a_second_or_its_bytes(tmp_path):
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write_imu(GYRO_TOPIC, GYRO)
+        for k in range(40):
+            writer.write('/big', 'std_msgs/msg/UInt8MultiArray', bytes(100_000), START_NS + k)
+    with (tmp_path / 'run.mcap').open('rb') as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    assert len(chunks) >= 10 + 4
+    assert all(c.message_end_time - c.message_start_time < 10**9 for c in chunks)
+    assert all(c.uncompressed_size < 2**20 + 110_000 for c in chunks)
+
+
+def test_slices_and_single_messages_make_the_same_recording_as_one_call(tmp_path):
+    with Writer(tmp_path / 'slices.mcap') as writer:
+        for k in range(0, len(GYRO), 130):
+            low, high = START_NS + k * 10**7, START_NS + (k + 130) * 10**7
+            rows = np.flatnonzero((FRAMES.stamp_ns > low) & (FRAMES.stamp_ns <= high))
+            writer.write_batches(centroids_batch(FRAMES_TOPIC, FRAMES[rows[0]:rows[-1] + 1]),
+                                 imu_batch(GYRO_TOPIC, GYRO[k:k + 130]))
+    with Writer(tmp_path / 'single.mcap') as writer:
+        for topic, type_name, log_time, data in messages():
+            writer.write(topic, type_name, data, log_time)
+    for name in ('slices.mcap', 'single.mcap'):
+        assert_holds_all(read(tmp_path / name))
+
+
+def test_a_low_rate_message_is_serialized_and_latched(tmp_path):
+    value = typestore().types['std_msgs/msg/String'](data='hello')
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write('/note', 'std_msgs/msg/String', serialize('std_msgs/msg/String', value),
+                     START_NS, qos=LATCHED)
+    row, = summary(tmp_path / 'run.mcap').topics
+    assert row.qos == 'reliable, transient_local, keep_last 1'
+    with rosbag2.Reader(tmp_path / 'run.mcap') as bag:
+        (_, _, data), = bag.messages()
+    assert typestore().deserialize_cdr(data, 'std_msgs/msg/String') == value
+
+
+def test_an_existing_file_is_only_replaced_when_told(tmp_path):
+    path = write(tmp_path / 'run.mcap')
+    before = path.read_bytes()
+    with pytest.raises(RecordError, match='exists; choose another name or overwrite it'):
+        Writer(path)
+    assert path.read_bytes() == before
+    with Writer(path, overwrite=True):
+        pass
+    assert summary(path).topics == ()
+
+
+def test_a_file_that_can_not_be_made_is_an_error(tmp_path):
+    with pytest.raises(RecordError, match='cannot be written: No such file or directory'):
+        Writer(tmp_path / 'nowhere' / 'run.mcap')
+
+
+def test_close_may_be_called_twice(tmp_path):
+    writer = Writer(tmp_path / 'run.mcap')
+    writer.write_imu(GYRO_TOPIC, GYRO)
+    writer.close()
+    size = (tmp_path / 'run.mcap').stat().st_size
+    writer.close()
+    assert (tmp_path / 'run.mcap').stat().st_size == size
+
+
+def test_a_topic_keeps_its_type_and_an_unknown_type_is_refused(tmp_path):
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write('/a', 'std_msgs/msg/Empty', b'\0\1\0\0\0', START_NS)
+        with pytest.raises(RecordError, match='/a is of type std_msgs/msg/Empty, not std_msgs/ms'):
+            writer.write('/a', 'std_msgs/msg/Bool', b'\0\1\0\0\0', START_NS)
+        with pytest.raises(RecordError, match="'my_msgs/msg/Own' is not a message of ROS 2"):
+            writer.write('/b', 'my_msgs/msg/Own', b'\0\1\0\0', START_NS)
+
+
+def test_a_process_killed_while_recording_loses_less_than_the_last_second(tmp_path):
+    writer = Writer(tmp_path / 'run.mcap')
+    writer.write_batches(imu_batch(GYRO_TOPIC, GYRO), centroids_batch(FRAMES_TOPIC, FRAMES))
+    shutil.copy(tmp_path / 'run.mcap', tmp_path / 'killed.mcap')
+    writer.close()
+    recording = read(tmp_path / 'killed.mcap')
+    kept = len(recording.gyro)
+    assert kept >= len(GYRO) - 100
+    assert_same(recording.gyro, GYRO[:kept])
+    warning, = recording.warnings
+    assert 'killed.mcap: the file breaks off at byte' in warning
+
+
+def test_flush_puts_everything_into_the_file(tmp_path):
+    writer = Writer(tmp_path / 'run.mcap')
+    writer.write_batches(imu_batch(GYRO_TOPIC, GYRO), centroids_batch(FRAMES_TOPIC, FRAMES))
+    writer.flush()
+    recording = read(tmp_path / 'run.mcap')
+    writer.close()
+    assert_same(recording.gyro, GYRO)
+
+
+@pytest.mark.parametrize('options', [
+    {}, {'compression': mcap.writer.CompressionType.LZ4, 'chunk_size': 20_000},
+    {'compression': mcap.writer.CompressionType.NONE}, {'use_chunking': False},
+    {'index_types': mcap.writer.IndexType.NONE, 'chunk_size': 50_000},
+    {'repeat_channels': False, 'repeat_schemas': False}, {'enable_crcs': False},
+    {'use_statistics': False, 'use_summary_offsets': False, 'repeat_channels': False,
+     'repeat_schemas': False, 'index_types': mcap.writer.IndexType.NONE},
+], ids=str)
+def test_every_kind_of_mcap_is_read(tmp_path, options):
+    assert_holds_all(read(write_with_mcap(tmp_path / 'run.mcap', messages(), **options)))
+
+
+def test_messages_come_in_the_order_of_recording_not_of_the_file(tmp_path):
+    rows = messages()
+    shuffled = [rows[k] for k in np.random.default_rng(2).permutation(len(rows))]
+    assert_holds_all(read(write_with_mcap(tmp_path / 'run.mcap', shuffled, chunk_size=30_000)))
+
+
+def test_messages_of_equal_log_time_keep_the_order_of_the_file(tmp_path):
+    rows = [(topic, kind, START_NS + k // 400, data)
+            for k, (topic, kind, _, data) in enumerate(messages())]
+    assert_holds_all(read(write_with_mcap(tmp_path / 'run.mcap', rows, chunk_size=30_000)))
+
+
+def test_a_stamp_may_go_backward_and_a_number_may_be_infinite(tmp_path):
+    gyro = GyroSamples(GYRO.stamp_ns[::-1], np.where(GYRO.rate > 1, np.inf, GYRO.rate))
+    rows = [(GYRO_TOPIC, IMU_TYPE, START_NS + k, row.tobytes())
+            for k, row in enumerate(encode_imu(gyro))]
+    rows += [row for row in messages() if row[0] == FRAMES_TOPIC]
+    assert_same(read(write_with_mcap(tmp_path / 'run.mcap', rows)).gyro, gyro)
+
+
+@pytest.mark.parametrize('storage', rosbag2.StoragePlugin)
+def test_a_rosbag2_directory_is_read(tmp_path, storage):
+    recording = read(write_with_rosbags(tmp_path / 'bag', messages(), storage_plugin=storage))
+    assert_holds_all(recording)
+    assert len(recording.sha256) == 64
+
+
+@pytest.mark.parametrize('storage, mode', [
+    (rosbag2.StoragePlugin.SQLITE3, rosbag2.CompressionMode.FILE),
+    (rosbag2.StoragePlugin.SQLITE3, rosbag2.CompressionMode.MESSAGE),
+    (rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.FILE),
+    (rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.STORAGE)])
+def test_a_compressed_rosbag2_directory_is_read(tmp_path, storage, mode):
+    path = write_with_rosbags(
+        tmp_path / 'bag', messages(), storage_plugin=storage,
+        prepare=lambda bag: bag.set_compression(mode, rosbag2.CompressionFormat.ZSTD))
+    assert_holds_all(read(path))
+    assert [row.count for row in summary(path).topics] == [len(GYRO), len(FRAMES)]
+
+
+def split(path, names=('a.mcap', 'b.mcap', 'c.mcap')):
+    """Make a rosbag2 directory of several files."""
+    path.mkdir()
+    rows = messages()
+    for k, name in enumerate(names):
+        part = rows[k * len(rows) // len(names):(k + 1) * len(rows) // len(names)]
+        write_with_mcap(path / name, part)
+    (path / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': {
+        'version': 9, 'storage_identifier': 'mcap', 'compression_mode': '',
+        'relative_file_paths': list(names)}}))
+    return path
+
+
+def test_a_split_bag_is_read_in_the_order_of_recording(tmp_path):
+    path = split(tmp_path / 'bag')
+    assert_holds_all(read(path))
+    contents = [(path / name).read_bytes() for name in ('a.mcap', 'b.mcap', 'c.mcap')]
+    assert read(path).sha256 == hashlib.sha256(b''.join(contents)).hexdigest()
+
+
+def test_a_split_bag_with_its_files_in_disorder_is_read_in_the_order_of_recording(tmp_path):
+    path = split(tmp_path / 'bag')
+    text = (path / 'metadata.yaml').read_text()
+    swapped = text.replace('a.mcap', 'x').replace('c.mcap', 'a.mcap').replace('x', 'c.mcap')
+    (path / 'metadata.yaml').write_text(swapped)
+    assert_holds_all(read(path))
+
+
+def test_progress_grows_to_one(tmp_path):
+    done = []
+    read(split(tmp_path / 'bag'), done.append)
+    assert done == sorted(done) and done[-1] == 1.0 and 0 <= done[0] <= 1
+
+
+def test_a_namespace_before_the_topics_is_found(tmp_path):
+    recording = read(write(tmp_path / 'run.mcap', gyro_topic='/sat1' + GYRO_TOPIC,
+                           frames_topic='/sat1' + FRAMES_TOPIC))
+    assert recording.gyro_topic == '/sat1/imu/data_raw'
+    assert_holds_all(recording)
+
+
+def test_the_exact_topic_wins_over_one_in_a_namespace(tmp_path):
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write_batches(imu_batch(GYRO_TOPIC, GYRO), centroids_batch(FRAMES_TOPIC, FRAMES),
+                             imu_batch('/other' + GYRO_TOPIC, GYRO[:10]))
+    assert_holds_all(read(tmp_path / 'run.mcap'))
+
+
+def test_sensors_of_other_names_are_found_by_their_types_and_named(tmp_path):
+    path = tmp_path / 'run.mcap'
+    with Writer(path) as writer:
+        writer.write_batches(imu_batch('/gyro', GYRO), centroids_batch('/camera/stars', FRAMES),
+                             imu_batch('/sat1/starcal/imu', GYRO[:10]),
+                             centroids_batch('/truth/centroids', FRAMES))
+    recording = read(path)
+    assert_holds_all(recording, ('/gyro is taken for /imu/data_raw',
+                                 '/camera/stars is taken for /star_tracker/centroids'))
+
+
+def test_two_namespaces_are_ambiguous(tmp_path):
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write_imu('/a/imu/data_raw', GYRO)
+        writer.write_imu('/b/imu/data_raw', GYRO)
+    with pytest.raises(RecordError,
+                       match='several topics /imu/data_raw: /a/imu/data_raw, /b/imu/data_raw'):
+        read(tmp_path / 'run.mcap')
+
+
+def test_a_missing_topic_is_an_error_that_lists_the_topics_present(tmp_path):
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write_imu(GYRO_TOPIC, GYRO)
+    with pytest.raises(RecordError,
+                       match='has no topic /star_tracker/centroids; it has /imu/data_raw'):
+        read(tmp_path / 'run.mcap')
+
+
+def test_a_topic_of_another_type_is_an_error_that_names_it(tmp_path):
+    rows = [(GYRO_TOPIC, CLOUD_TYPE, t, data) for topic, _, t, data in messages()
+            if topic == FRAMES_TOPIC]
+    with pytest.raises(RecordError, match=f'{GYRO_TOPIC} is of type {CLOUD_TYPE}, not {IMU_TYPE}'):
+        read(write_with_mcap(tmp_path / 'run.mcap', rows))
+
+
+def test_a_topic_without_messages_is_no_samples(tmp_path):
+    recording = read(write(tmp_path / 'run.mcap', frames=Frames.empty()))
+    assert len(recording.frames) == 0 and len(recording.gyro) == len(GYRO)
+
+
+def test_a_broken_message_is_an_error_that_names_its_topic(tmp_path):
+    rows = [(topic, kind, t, data[:50] if t == GYRO.stamp_ns[77] else data)
+            for topic, kind, t, data in messages()]
+    with pytest.raises(RecordError, match='/imu/data_raw: a message of 50 bytes is cut short'):
+        read(write_with_mcap(tmp_path / 'run.mcap', rows))
+
+
+@pytest.mark.parametrize('content, message', [
+    (None, 'does not exist'), (b'', 'it has 0 bytes'), (b'abc', 'it has 3 bytes'),
+    (bytes(1000), 'is not an MCAP file: it starts with'),
+    (b'SQLite format 3\0' + bytes(100), 'is not an MCAP file'),
+    (b'\x89MCAP0\r\n', 'has no topic /imu/data_raw; it has no topics'),
+    (b'\x89MCAP0\r\n' + bytes(range(1, 256)), 'it has no topics')])
+def test_what_is_no_recording_is_an_error_in_one_line(tmp_path, content, message):
+    path = tmp_path / 'run.mcap'
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(RecordError, match=message) as caught:
+        read(path)
+    assert '\n' not in str(caught.value) and str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize('metadata, message', [
+    (None, 'no metadata.yaml, so it is no rosbag2 directory; its files can be read one by one: '
+           'run.mcap'),
+    ('{', 'cannot be read as the metadata of a rosbag2 directory'),
+    ('a: 1', "KeyError 'rosbag2_bagfile_information'"),
+    ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: [gone.mcap]}',
+     'names files that are missing: gone.mcap'),
+    ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: []}',
+     'names no files'),
+    ('rosbag2_bagfile_information: {storage_identifier: tape, relative_file_paths: [run.mcap]}',
+     'cannot be read')])
+def test_a_directory_that_is_no_bag_is_an_error_in_one_line(tmp_path, metadata, message):
+    write(tmp_path / 'run.mcap')
+    if metadata is not None:
+        (tmp_path / 'metadata.yaml').write_text(metadata)
+    with pytest.raises(RecordError, match=message) as caught:
+        read(tmp_path)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_broken_database_is_an_error_in_one_line(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', messages(),
+                              storage_plugin=rosbag2.StoragePlugin.SQLITE3)
+    database = path / 'bag.db3'
+    database.write_bytes(database.read_bytes()[:5000])
+    with pytest.raises(RecordError, match='cannot be read') as caught:
+        read(path)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path):
+    whole = write(tmp_path / 'run.mcap').read_bytes()
+    cut = tmp_path / 'cut.mcap'
+    kept = []
+    for size in np.linspace(len(whole) // 5, len(whole) - 9, 60).astype(int):
+        cut.write_bytes(whole[:size])
+        recording = read(cut)
+        assert any('breaks off at byte' in text for text in recording.warnings)
+        assert_same(recording.gyro, GYRO[:len(recording.gyro)])
+        assert_same(recording.frames, FRAMES[:len(recording.frames)])
+        kept.append(len(recording.gyro))
+    assert kept == sorted(kept) and kept[0] > 100 and kept[-1] == len(GYRO)
+
+
+def test_a_cut_file_without_chunks_keeps_every_whole_message(tmp_path):
+    path = write_with_mcap(tmp_path / 'run.mcap', messages(), use_chunking=False)
+    path.write_bytes(path.read_bytes()[:200_000])
+    recording = read(path)
+    assert 500 < len(recording.gyro) < len(GYRO)
+    assert_same(recording.gyro, GYRO[:len(recording.gyro)])
+
+
+def test_a_damaged_chunk_is_left_out_and_named(tmp_path):
+    path = write(tmp_path / 'run.mcap')
+    with path.open('rb') as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[4]
+    data = bytearray(path.read_bytes())
+    data[chunk.chunk_start_offset + chunk.chunk_length - 20] ^= 0xff
+    path.write_bytes(data)
+    recording = read(path)
+    inside = ((GYRO.stamp_ns >= chunk.message_start_time)
+              & (GYRO.stamp_ns <= chunk.message_end_time))
+    np.testing.assert_array_equal(recording.gyro.rate, GYRO.rate[~inside])
+    damaged, gyro_lost, frames_lost = recording.warnings
+    assert f'the chunk at byte {chunk.chunk_start_offset} is left out' in damaged
+    assert gyro_lost == f'{(~inside).sum()} of 1000 messages on /imu/data_raw could be read'
+    assert frames_lost.endswith('of 20 messages on /star_tracker/centroids could be read')
+
+
+def test_a_wrong_message_index_is_replaced_by_a_scan(tmp_path):
+    path = write(tmp_path / 'run.mcap')
+    with path.open('rb') as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[4]
+    data = bytearray(path.read_bytes())
+    index = chunk.chunk_start_offset + chunk.chunk_length + 9 + 6
+    data[index + 8:index + 16] = (12345).to_bytes(8, 'little')
+    path.write_bytes(data)
+    recording = read(path)
+    assert_same(recording.gyro, GYRO)
+    warning, = recording.warnings
+    assert 'the message index is wrong' in warning
+
+
+def test_messages_that_the_index_leaves_out_are_missed_by_the_statistics(tmp_path):
+    path = write(tmp_path / 'run.mcap')
+    with path.open('rb') as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[4]
+    data = bytearray(path.read_bytes())
+    index = chunk.chunk_start_offset + chunk.chunk_length + 9 + 2
+    n_bytes = int.from_bytes(data[index:index + 4], 'little')
+    data[index:index + 4] = (n_bytes - 16).to_bytes(4, 'little')
+    path.write_bytes(data)
+    warning, = read(path).warnings
+    assert "by the file's statistics /imu/data_raw has 1000 messages, by its chunks 999" in warning
+
+
+def test_random_damage_costs_data_and_a_warning_or_is_an_error_in_one_line(tmp_path):
+    rng = np.random.default_rng(8)
+    whole = np.frombuffer(write(tmp_path / 'run.mcap').read_bytes(), np.uint8)
+    path = tmp_path / 'damaged.mcap'
+    for _ in range(300):
+        data = whole.copy()
+        data[rng.integers(8, len(data), 4)] = rng.integers(0, 256, 4)
+        path.write_bytes(data)
+        try:
+            recording = read(path)
+            summary(path)
+        except RecordError:
+            continue
+        assert np.isin(recording.gyro.stamp_ns, GYRO.stamp_ns).all()
+        assert recording.warnings or len(recording.gyro) == len(GYRO)
+
+
+def test_a_damaged_attachment_is_left_out(tmp_path):
+    path = write(tmp_path / 'run.mcap')
+    path.write_bytes(path.read_bytes().replace(b'a: 1\n', b'a: 7\n'))
+    recording = read(path)
+    assert set(recording.attachments) == {'truth.json'}
+    assert 'is garbled and left out' in recording.warnings[0]
+
+
+def test_the_summary_tells_what_a_recording_holds(tmp_path):
+    path = write(tmp_path / 'run.mcap')
+    result = summary(path)
+    gyro, frames = result.topics
+    assert (gyro.topic, gyro.type, gyro.count) == (GYRO_TOPIC, IMU_TYPE, 1000)
+    assert (gyro.first_ns, gyro.last_ns) == (GYRO.stamp_ns[0], GYRO.stamp_ns[-1])
+    assert gyro.rate_hz == pytest.approx(100.0) and frames.rate_hz == pytest.approx(2.0)
+    assert frames.qos == 'reliable, volatile, keep_last 100'
+    assert result.attachments == {'config.yaml': 5, 'truth.json': 2}
+    assert result.duration_s == pytest.approx(9.99)
+    assert result.n_bytes == path.stat().st_size and result.warnings == ()
+
+
+def test_the_summary_of_a_database_is_that_of_the_same_messages_in_mcap(tmp_path):
+    one, other = (summary(write_with_rosbags(tmp_path / storage.name, messages(),
+                                             storage_plugin=storage))
+                  for storage in rosbag2.StoragePlugin)
+    assert one.topics == other.topics and one.duration_s == other.duration_s
+
+
+def test_batches_of_equal_time_are_written_in_the_order_given(tmp_path):
+    times = np.full(3, START_NS)
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write_batches(*(Batch(f'/{name}', 'std_msgs/msg/Empty', times, [b'\0\1\0\0\0'] * 3)
+                               for name in 'ba'))
+    with (tmp_path / 'run.mcap').open('rb') as stream:
+        found = [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
+    assert found == ['/b'] * 3 + ['/a'] * 3

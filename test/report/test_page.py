@@ -1,0 +1,346 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The report: all on one page, true to RESULT.json, harmless, drawn by a real browser."""
+
+from html.parser import HTMLParser
+import json
+from pathlib import Path
+import re
+import shutil
+import subprocess
+
+import numpy as np
+from plotly.offline import get_plotlyjs
+import pytest
+from scipy.stats import norm
+
+from starcal_ros import report
+from starcal_ros.cli import main
+from starcal_ros.config import parameter_file
+from starcal_ros.core import camera
+from starcal_ros.core.camera import Detector
+from starcal_ros.filter import verdict
+from starcal_ros.filter.offline import Residuals, calibrate
+from starcal_ros.filter.states import STATE_NAMES
+from starcal_ros.recording import reader
+from starcal_ros.report import detector_charts, time_charts
+from starcal_ros.simulation import sensors
+
+TOP = Path(__file__).resolve().parents[2]
+SCENARIO = parameter_file.load(TOP / 'config' / 'tan2018.yaml')
+SHORT = SCENARIO.replace({'simulation.duration_s': 150.0})
+SECTIONS = ['verdict', 'states', 'convergence', 'residuals', 'consistency', 'distortion',
+            'coupling', 'counts', 'provenance']
+CHARTS = 13 + 3 + 1 + 4 + 3     # states; map and histograms; NIS; distortion; coupling
+HOSTILE = '<img src=x onerror=alert(1)>&"\'.mcap'
+HOSTILE_FILE = '</pre><script>alert(2)</script>.mcap'
+BROWSER = shutil.which('chromium')
+PATIENCE_S = 120.0
+
+
+class Page(HTMLParser):
+    """What a browser makes of a page: its elements, and the text of each."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.loads, self._open = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        """Note an element and what it would load."""
+        element = {'tag': tag, 'text': '', 'inside': tuple(e.get('id') for e in self._open),
+                   **dict(attributes)}
+        self.elements.append(element)
+        self.loads += [value for name, value in attributes
+                       if name in ('src', 'href', 'srcset', 'action', 'data', 'poster')]
+        if tag not in ('meta', 'link', 'img', 'br'):
+            self._open.append(element)
+
+    def handle_endtag(self, tag):
+        """Close an element."""
+        assert self._open.pop()['tag'] == tag
+
+    def handle_data(self, data):
+        """Give text to the elements it is in."""
+        for element in self._open:
+            element['text'] += data
+
+    def all(self, tag, within=None):
+        """Return the elements of a kind, in a section."""
+        return [element for element in self.elements if element['tag'] == tag
+                and (within is None or within in element['inside'])]
+
+    def rows(self, within):
+        """Return the cells of the tables of a section."""
+        cells = [[]]
+        for element in self.elements:
+            if within in element['inside']:
+                if element['tag'] == 'tr':
+                    cells.append([])
+                elif element['tag'] in ('td', 'th'):
+                    cells[-1].append(element['text'])
+        return cells[1:]
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory):
+    """Return the folder in which the command has left a result and a report."""
+    folder = tmp_path_factory.mktemp('report')
+    config = folder / 'config.yaml'
+    config.write_text(parameter_file.dump(SHORT.replace({'recorder.output': HOSTILE_FILE})))
+    bag = folder / HOSTILE
+    assert main(['simulate', '--config', str(config), '--out', str(bag)]) == 0
+    assert main(['calibrate', str(bag), '--config', str(config), '--out',
+                 str(folder / 'result.json'), '--report', str(folder / 'report.html')]) == 0
+    return folder
+
+
+@pytest.fixture(scope='module')
+def page(made):
+    """Return the report as a browser reads it."""
+    return Page((made / 'report.html').read_text())
+
+
+@pytest.fixture(scope='module')
+def outcome(made):
+    """Return RESULT.json."""
+    return json.loads((made / 'result.json').read_text())
+
+
+@pytest.fixture(scope='module')
+def history():
+    """Return how the same run came about."""
+    gyro, tracker = sensors.gyro(SHORT), sensors.star_tracker(SHORT)
+    return calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)[1]
+
+
+# The page
+
+
+def test_sections_stand_in_their_order_the_verdict_first(page):
+    assert [element['id'] for element in page.all('section')] == SECTIONS
+
+
+def test_page_loads_nothing(page, made):
+    assert page.loads == ['data:,']             # the icon, which is there and empty
+    own = (made / 'report.html').read_text().replace(get_plotlyjs(), '')
+    assert not re.search(r'https?://|@import|url\(', own)
+    assert own.count('<script>') == 2           # plotly.js, once, and the page's own
+    policy, = [e['content'] for e in page.all('meta')
+               if e.get('http-equiv') == 'Content-Security-Policy']
+    assert "default-src 'none'" in policy and 'http' not in policy
+
+
+def test_nothing_from_outside_becomes_part_of_the_page(page):
+    assert page.all('img') == [] and HOSTILE in page.all('h1')[0]['text']
+    assert HOSTILE in page.all('title')[0]['text']
+    pre, = page.all('pre')
+    assert HOSTILE_FILE in pre['text']
+    assert not any('alert' in script['text'] for script in page.all('script')
+                   if 'Plotly' not in script['text'])
+
+
+def test_states_are_those_of_the_result(page, outcome, made):
+    head, *body = page.rows('states')
+    truth = json.loads(reader.read(made / HOSTILE).attachments['truth.json'])
+    states = report.rows(outcome, truth)
+    assert len(body) == len(states) == 13
+    for cells, state in zip(body, states):
+        row = dict(zip(head, cells))
+        assert row['state'] == state.label
+        scale = 3600.0 if '″' in state.unit else 1.0
+        assert float(row['estimate']) == pytest.approx(state.estimate, abs=state.sigma / scale)
+        assert float(row['sigma']) == pytest.approx(state.sigma, rel=0.06)     # two digits
+        assert row['within'] == ('yes' if state.sigma <= float(row['tolerance']) else 'no')
+        assert float(row['error/sigma']) == pytest.approx(state.error / state.sigma, abs=0.006)
+
+
+def test_counts_and_provenance_are_those_of_the_result(page, outcome):
+    counts = {name.replace(' ', '_'): int(value) for name, value in page.rows('counts')}
+    assert counts == outcome['counts']
+    provenance = {name.replace(' ', '_'): value for name, value in page.rows('provenance')}
+    assert provenance == outcome['provenance']
+    assert parameter_file.parse(page.all('pre')[0]['text'], 'page').sha256 == (
+        outcome['provenance']['config_sha256'])
+
+
+def test_verdict_and_advice_are_on_the_page(page, outcome):
+    text = page.all('section')[0]['text']
+    assert outcome['converged'] is False and 'Not yet: ε_x, ' in text
+    assert 'can not be told apart yet: ' in text
+    assert re.search(r'u0 and Ψ_y are correlated by [+-]\d\.\d{4}', text)
+
+
+def test_charts_have_data_and_a_caption(page):
+    scripts = [e for e in page.all('script') if e.get('type') == 'application/json']
+    assert len(scripts) == len(page.all('figcaption')) == CHARTS
+    for script in scripts:
+        figure = json.loads(script['text'])
+        assert figure['data'] and 'width' not in figure['layout']
+    assert all(len(caption['text']) > 3 for caption in page.all('figcaption'))
+
+
+def test_without_truth_the_page_does_without_it(made, tmp_path):
+    from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
+    recording = reader.read(made / HOSTILE)
+    with Writer(tmp_path / 'bare.mcap') as writer:
+        writer.write_batches(imu_batch('/imu/data_raw', recording.gyro[:3000]),
+                             centroids_batch('/star_tracker/centroids', recording.frames[:50]))
+    assert main(['calibrate', str(tmp_path / 'bare.mcap'), '--out', str(tmp_path / 'r.json'),
+                 '--report', str(tmp_path / 'r.html')]) == 0
+    page = Page((tmp_path / 'r.html').read_text())
+    assert 'truth' not in page.rows('states')[0]
+    assert 'Estimate minus final estimate' in page.all('section')[2]['text']
+    assert len(page.all('figcaption')) == CHARTS - 2
+
+
+def test_notices_are_on_the_page(made, tmp_path):
+    config = tmp_path / 'other.yaml'
+    config.write_text(parameter_file.dump(SHORT.replace({'gyro.arw_deg_sqrt_h': 0.002})))
+    assert main(['calibrate', str(made / HOSTILE), '--config', str(config), '--out',
+                 str(tmp_path / 'r.json'), '--report', str(tmp_path / 'r.html')]) == 0
+    page = Page((tmp_path / 'r.html').read_text())
+    assert any('gyro.arw_deg_sqrt_h is 0.001' in item['text'] for item in page.all('li', 'counts'))
+
+
+def test_report_that_can_not_be_written_is_named_before_the_work(made, tmp_path, capsys):
+    path = tmp_path / 'nowhere' / 'r.html'
+    assert main(['calibrate', str(made / HOSTILE), '--out', str(tmp_path / 'r.json'),
+                 '--report', str(path)]) == 2
+    assert f'{path}: cannot be written' in capsys.readouterr().err
+    assert not (tmp_path / 'r.json').exists()
+
+
+# The charts
+
+
+def test_curves_are_thinned_from_end_to_end():
+    rows = time_charts.thinned(14_400)
+    assert len(rows) == time_charts.POINTS and rows[0] == 0 and rows[-1] == 14_399
+    assert np.ptp(np.diff(rows)) <= 1
+    assert time_charts.thinned(7).tolist() == list(range(7))
+
+
+def test_convergence_has_a_chart_a_state_with_its_bound(history):
+    charts = time_charts.convergence(history, None)
+    assert len(charts) == 13
+    for k, chart in enumerate(charts):
+        lower, upper, error, _ = chart.figure.data
+        np.testing.assert_array_equal(lower.y, -upper.y)
+        assert error.y[-1] == 0.0               # against the final estimate
+        assert (np.abs(error.y) < upper.y * 2.0).mean() > 0.9, STATE_NAMES[3 + k]
+
+
+def test_equivalent_principal_point_is_drawn_with_the_sigma_of_the_verdict(history):
+    gyro, tracker = sensors.gyro(SHORT), sensors.star_tracker(SHORT)
+    calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
+    judged = verdict.judge(calibrator.filter, calibrator.belief)
+    charts = time_charts.equivalent_principal_point(history, None, 0.00645)
+    for chart, sigma in zip(charts, judged.equivalent_sigma_px):
+        assert chart.figure.data[1].y[-1] == pytest.approx(3.0 * sigma, rel=1e-5)
+
+
+def test_consistency_says_how_many_frames_lie_in_the_band(history):
+    """95 % of 300 frames, binomial: 3.9 sigma are 5 %."""
+    chart, text = time_charts.consistency(history)
+    assert len(chart.figure.data[2].y) == len(history.nis)
+    assert abs(float(re.match(r'([\d.]+)%', text)[1]) - 95.0) < 5.0
+
+
+def test_history_has_the_residuals_of_every_star(history):
+    stars = history.stars
+    assert len(stars.uv_raster) == len(stars.residual) == len(stars.sigma) == len(stars.accepted)
+    assert stars.accepted.sum() == history.used.sum()
+    # sigma travels with the star; the residual is narrower by what the fit takes
+    np.testing.assert_allclose(stars.sigma, SHORT.star_tracker.centroid_sigma_px)
+    rms = np.sqrt(np.mean(stars.residual[stars.accepted]**2))
+    assert rms == pytest.approx(SHORT.star_tracker.centroid_sigma_px, rel=0.05)
+
+
+def test_residual_map_has_rms_mean_and_count_of_each_cell():
+    """Two stars in the first cell, one in the last, a rejected one: worked out by hand."""
+    detector = Detector(1600, 1600, 0.01)
+    stars = Residuals(np.array([[0.0, 0.0], [99.0, 99.4], [1599.4, 1599.4], [800.0, 800.0]]),
+                      np.array([[1.0, 0.0], [3.0, 2.0], [0.5, 0.5], [9.0, 9.0]]),
+                      np.array([True, True, True, False]), np.full(4, 1.0))
+    heat = detector_charts.residual_map(stars, detector).figure.data[0]
+    z = np.array(heat.z)
+    assert np.isfinite(z).sum() == 2
+    assert z[0, 0] == pytest.approx(np.sqrt((1 + 9 + 4) / 4)) and z[-1, -1] == pytest.approx(0.5)
+    np.testing.assert_allclose(heat.customdata[0][0], [2, 2.0, 1.0])
+    assert np.nansum(np.array(heat.customdata)[..., 0]) == 3
+
+
+def test_histograms_count_every_star_against_the_gaussian_of_its_own_sigma():
+    rng = np.random.default_rng(3)
+    sigma = rng.choice([0.05, 0.5], 10_000)
+    stars = Residuals(np.zeros((10_000, 2)), sigma[:, None] * rng.normal(size=(10_000, 2)),
+                      np.full(10_000, True), sigma)
+    for chart in detector_charts.residual_histograms(stars):
+        bars, line = chart.figure.data
+        assert np.sum(bars.y) >= 9990
+        assert np.sum(line.y) == pytest.approx(10_000 * (1 - 2 * norm.cdf(-4.5)))
+        # Poisson: chi-square of 81 bins, those in which less than five are expected left out
+        full = np.array(line.y) >= 5.0
+        chi_square = np.sum((np.array(bars.y) - line.y)[full]**2 / np.array(line.y)[full])
+        assert chi_square < 120.0
+
+
+def test_distortion_map_is_that_of_the_camera_model():
+    """T18 Table 1: 3 px at the edges; a map against the same camera is empty."""
+    lens = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
+    detector = Detector(1024, 1024, 0.00645)
+    heat = detector_charts.distortion_map('', detector, lens).figure.data[0]
+    uv = np.array([[heat.x[3], heat.y[50]]]) - detector.centre_raster
+    pinhole = np.array([*lens[:3], 0.0, 0.0, 0.0, 0.0])
+    r_s = camera.unproject(uv, pinhole, 0.00645)
+    shift = np.linalg.norm(camera.project(r_s, lens, 0.00645) - uv)
+    assert heat.z[50][3] == pytest.approx(shift, rel=1e-6)
+    assert 2.5 < np.max(heat.z) < 3.5
+    empty = detector_charts.distortion_map('', detector, lens, lens)
+    assert np.max(empty.figure.data[0].z) == 0.0 and len(empty.figure.data[1].x) == 0
+
+
+# In a browser
+
+
+def browse(folder, *options):
+    """Run the browser on the report; return what it prints and what it says on the console."""
+    if BROWSER is None:
+        pytest.skip('chromium is not installed')
+    done = subprocess.run([
+        BROWSER, '--headless', '--no-sandbox', '--disable-gpu', '--disable-quic',
+        '--no-first-run', '--disable-background-networking', '--disable-component-update',
+        '--disable-sync', f'--user-data-dir={folder / "profile"}', '--enable-logging=stderr',
+        *options, (folder / 'report.html').as_uri()], text=True, capture_output=True,
+        timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, [line for line in done.stderr.splitlines() if 'CONSOLE' in line]
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """Return a new folder with the report alone in it."""
+    shutil.copy(made / 'report.html', tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize('size', ['1280,900', '500,900'])
+def test_browser_draws_every_figure_without_an_error(folder, size):
+    dom, console = browse(folder, '--dump-dom', f'--window-size={size}')
+    assert console == []
+    figures = dom.split('<figure')[1:]
+    assert len(figures) == CHARTS
+    for figure in figures:
+        assert 'js-plotly-plot' in figure and 'class="main-svg"' in figure
+        assert re.search(r'class="(trace|hm)\b|class="imagelayer|<image', figure)
+    # plotly's own choice of buttons has one that uploads the chart
+    titles = set(re.findall(r'data-title="([^"]*)"', dom))
+    assert {'Zoom', 'Reset axes'} <= titles
+    assert not [title for title in titles if re.search('share|cloud|edit', title, re.I)]
+
+
+def test_browser_prints_the_page_without_an_error(folder):
+    _, console = browse(folder, f'--print-to-pdf={folder / "report.pdf"}')
+    assert console == []
+    assert (folder / 'report.pdf').read_bytes().startswith(b'%PDF-')

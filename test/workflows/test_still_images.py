@@ -1,0 +1,209 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Still images of stars give their camera: simulated ones the true one, real ones small residuals.
+
+The real ones are of ``../shared/data/real_sky``, whose README has a reference fit.
+"""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from starcal_ros.cli import main
+from starcal_ros.config.models import detector
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.messages.conventions import from_camera_info
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import Observer, apparent_places
+from starcal_ros.workflows.still_images import calibration, opencv_camera, table
+
+SKY = Path(__file__).parents[3] / 'shared' / 'data' / 'real_sky'
+EPOCH = '2018-01-01T00:00:00'
+WIDTH, HEIGHT = 1280, 960
+TRUE = dict(zip(opencv_camera.KEYS, (2657.9, 657.2, 431.2, -0.032, 0.6, -7e-4, -1.1e-3)))
+SCENARIO = calibration.scenario_of(WIDTH, HEIGHT, 2600.0, 'bundle')
+PIXELS = detector(SCENARIO.camera)
+
+
+def intrinsics(f_px, u0_px, v0_px, k1, k2, p1, p2):
+    """Return the project's camera of OpenCV's."""
+    return from_camera_info(np.array([f_px, 0, u0_px, 0, f_px, v0_px, 0, 0, 1]),
+                            np.array([k1, k2, p1, p2, 0]), PIXELS)
+
+
+def write(path, images, sigma=0.1, seed=1, held=(), wrong=0.0):
+    """Write the stars of random looks at the sky, so many of them under numbers of others."""
+    rng = np.random.default_rng(seed)
+    stars = catalog.load(6.5)
+    u_i = apparent_places(stars, np.arange(len(stars)), np.array([unix_ns(EPOCH)]),
+                          np.array([len(stars)]), Observer(velocity='barycentre'))
+    with path.open('w', newline='') as stream:
+        table = csv.writer(stream)
+        table.writerow(['image', 'catalog_id', 'u', 'v', 'split'])
+        for k in range(images):
+            r_s = u_i @ rotation.exp(3.0 * rng.standard_normal(3)).T
+            ahead = r_s[:, 2] > 0.9
+            uv = camera.project(r_s[ahead], intrinsics(**TRUE), PIXELS.pitch_mm)
+            uv += sigma * rng.standard_normal(uv.shape)
+            hips = stars.hip[ahead]
+            mixed = rng.random(len(hips)) < wrong
+            hips = np.where(mixed, rng.choice(stars.hip, len(hips)), hips)
+            for hip, place in zip(hips, uv):
+                if PIXELS.contains(place):
+                    table.writerow([f'{k}.png', hip, *(place + PIXELS.centre_raster).tolist(),
+                                    'heldout' if k in held else 'fit'])
+    return path
+
+
+@pytest.fixture(scope='module')
+def found(tmp_path_factory):
+    """Return what the bundle makes of twelve images, two held out."""
+    path = write(tmp_path_factory.mktemp('plates') / 'stars.csv', 12, held=(3, 7))
+    images = table.read_centroids(path, EPOCH)
+    f_px = calibration.focal_length_px(images, WIDTH, HEIGHT)
+    assert f_px == pytest.approx(TRUE['f_px'], rel=0.05)
+    scenario = calibration.scenario_of(WIDTH, HEIGHT, f_px, 'bundle')
+    return calibration.calibrate(images, scenario).as_dict()
+
+
+def test_the_true_camera_is_found_within_its_sigma(found):
+    error = np.array([found[key] - TRUE[key] for key in opencv_camera.KEYS])
+    covariance = np.array(found['covariance'])
+    assert error @ np.linalg.solve(covariance, error) < 24.3        # 0.999 of chi-square, 7
+    assert np.sqrt(np.diag(covariance)) == pytest.approx(list(found['sigma'].values()))
+
+
+@pytest.mark.parametrize('method', ['angular_distance', 'singular_value', 'interstar'])
+def test_methods_without_an_attitude_take_a_table_as_a_spreadsheet_writes_it(
+        method, tmp_path, capsys):
+    """Byte order mark and carriage returns."""
+    path, out = write(tmp_path / 'stars.csv', 12), tmp_path / 'camera.json'
+    path.write_bytes(b'\xef\xbb\xbf' + path.read_bytes())
+    assert b'\r\n' in path.read_bytes()
+    assert main(['intrinsics', '--centroids', str(path), '--width', str(WIDTH), '--height',
+                 str(HEIGHT), '--method', method, '--out', str(out)]) == 0
+    camera_ = json.loads(out.read_text())
+    for key in ('f_px', 'u0_px', 'v0_px'):
+        assert abs(camera_[key] - TRUE[key]) < 4.0 * camera_['sigma'][key]
+
+
+@pytest.mark.parametrize('method', ['bundle', 'angular_distance', 'singular_value', 'interstar'])
+def test_a_fifth_of_wrong_numbers_is_let_go(method, tmp_path):
+    images = table.read_centroids(write(tmp_path / 'stars.csv', 12, wrong=0.2), EPOCH)
+    f_px = calibration.focal_length_px(images, WIDTH, HEIGHT)
+    found = calibration.calibrate(images, calibration.scenario_of(
+        WIDTH, HEIGHT, f_px, method)).as_dict()
+    error = np.array([found[key] - TRUE[key] for key in opencv_camera.KEYS])
+    assert error @ np.linalg.solve(np.array(found['covariance']), error) < 24.3
+    assert found['counts']['images'] == 12
+
+
+def test_residuals_are_the_noise_of_the_centroids(found):
+    assert found['centroid_sigma_px'] == pytest.approx(0.1, rel=0.05)
+    assert found['fit_rms_px'] == pytest.approx(0.1, rel=0.08)
+    assert found['heldout_rms_px'] == pytest.approx(0.1, rel=0.15)
+    assert found['counts']['images'] == 10 and found['counts']['heldout_stars'] > 50
+
+
+def test_page_shows_each_image_and_escapes_its_name(tmp_path):
+    path = write(tmp_path / 'stars.csv', 4, held=(2,))
+    path.write_text(path.read_text().replace('1.png', '<b>.png'))
+    page = tmp_path / 'page.html'
+    assert main(['intrinsics', '--centroids', str(path), '--width', str(WIDTH), '--height',
+                 str(HEIGHT), '--report', str(page)]) == 0
+    text = page.read_text()
+    assert '&lt;b&gt;.png' in text and '<b>.png' not in text
+    assert all(f'<section id="{name}">' in text for name in (
+        'camera', 'fit', 'heldout', 'distortion', 'coupling', 'notices'))
+    assert text.count('<figure') == 8
+
+
+def test_covariance_goes_over_to_opencv_as_differences_say():
+    rng = np.random.default_rng(2)
+    values = intrinsics(**TRUE)
+    root = rng.standard_normal((7, 7)) * [0.1, 0.1, 1e-3, 1e-6, 1e-8, 1e-6, 1e-6]
+    _, covariance = opencv_camera.from_estimate(
+        CameraEstimate(values, root.T @ root, 1, 1), SCENARIO)
+    step = np.array([1e-3, 1e-3, 1e-4, 1e-7, 1e-9, 1e-7, 1e-7])
+
+    def converted(x):
+        return opencv_camera.from_estimate(CameraEstimate(x, np.eye(7), 1, 1), SCENARIO)[0]
+
+    J = np.stack([(converted(values + h * e) - converted(values - h * e)) / (2 * h)
+                  for h, e in zip(step, np.eye(7))], axis=1)
+    expected = J @ root.T @ root @ J.T
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(covariance / scale, expected / scale, atol=1e-6)
+
+
+def test_keys_are_opencvs(found):
+    assert intrinsics(**{key: found[key] for key in opencv_camera.KEYS})[2] == pytest.approx(
+        found['f_px'] * calibration.PITCH_MM)
+    uv = np.array([[300.0, -200.0]])
+    r_s = camera.unproject(uv, intrinsics(**TRUE), PIXELS.pitch_mm)[0]
+    x, y = -r_s[:2] / r_s[2]                            # optical axes
+    rr, t = x * x + y * y, TRUE
+    radial = 1 + t['k1'] * rr + t['k2'] * rr**2
+    expected = [t['u0_px'] + t['f_px'] * (x * radial + 2 * t['p1'] * x * y
+                                          + t['p2'] * (rr + 2 * x * x)),
+                t['v0_px'] + t['f_px'] * (y * radial + t['p1'] * (rr + 2 * y * y)
+                                          + 2 * t['p2'] * x * y)]
+    np.testing.assert_allclose(uv[0] + PIXELS.centre_raster, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize('name, width, height, limit, reference', [
+    ('tomc16', 808, 608, 0.10, (3230.22, 404.18, 310.87, 0.0907, -0.339, -3.2e-4, 2.3e-4)),
+    ('granasat', 1280, 960, 0.14, (2657.86, 657.24, 431.17, -0.0314, 0.596, -7.4e-4, -1.1e-3)),
+])
+def test_real_sky(name, width, height, limit, reference, tmp_path, capsys):
+    """Held-out images: at most the limits set, and the camera is the reference's within 4 sigma.
+
+    The reference is a fit of the same stars by others; the difference is far less than chance.
+    """
+    table = SKY / name / 'stars.csv'
+    if not table.is_file():
+        pytest.skip(f'{table.parent} is not there')
+    out = tmp_path / 'camera.json'
+    assert main(['intrinsics', '--centroids', str(table), '--width', str(width), '--height',
+                 str(height), '--out', str(out)]) == 0
+    camera_ = json.loads(out.read_text())
+    assert camera_['heldout_rms_px'] <= limit and camera_['fit_rms_px'] < 0.15
+    for key, value in zip(opencv_camera.KEYS, reference):
+        assert abs(camera_[key] - value) < 4.0 * camera_['sigma'][key], key
+    assert 'held-out' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('text, culprit', [
+    ('image,u,v\n', 'no column catalog_id'),
+    ('image,u,v,catalog_id\na,1,x,3\n', "line 2: got '1', 'x', '3'"),
+    ('image,u,v,catalog_id,split\na,1,2,3,test\n', "split 'test', needs fit or heldout"),
+    ('image,u,v,catalog_id,split\na,1,2,3,fit\na,1,2,3,heldout\n', 'the same for all stars'),
+])
+def test_wrong_tables_are_named(text, culprit, tmp_path):
+    path = tmp_path / 'stars.csv'
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=culprit):
+        table.read_centroids(path, EPOCH)
+
+
+@pytest.mark.parametrize('words, status, culprit', [
+    ([], 2, 'a recording, a folder of images, or --centroids'),
+    (['--centroids', 'stars.csv'], 2, '--width and --height'),
+    (['--centroids', 'stars.csv', '--width', '9', '--height', '900'], 2, 'camera.width: got 9'),
+    (['--centroids', 'none.csv', '--width', '900', '--height', '900'], 2, 'none.csv'),
+    (['--centroids', 'stars.csv', '--width', '900', '--height', '900', '--fov', '20', '--method',
+      'guess'], 2,
+     "got 'guess', allowed are"),
+    (['--centroids', 'stars.csv', '--width', '900', '--height', '900'], 2, 'two identified'),
+])
+def test_command_says_what_is_wrong(words, status, culprit, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path('stars.csv').write_text('image,u,v,catalog_id\na,1,2,677\nb,1,2,677\n')
+    assert main(['intrinsics', *words]) == status
+    assert culprit in capsys.readouterr().err

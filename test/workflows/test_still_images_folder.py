@@ -1,0 +1,285 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal intrinsics`` on folders of images: rendered ones give the true camera, real ones that
+of others, and what can not be used is named.
+"""
+
+import csv
+import json
+from pathlib import Path
+import shutil
+
+from PIL import Image, ImageOps
+from astropy.io import fits
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from starcal_ros.cli import main
+from starcal_ros.config.image import ImageConfig
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.camera import Detector
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.identification import patterns
+from starcal_ros.messages.conventions import from_camera_info
+from starcal_ros.simulation.render import Renderer
+from starcal_ros.sky import catalog
+from starcal_ros.sky.apparent import Observer, apparent_places
+from starcal_ros.sky.refraction import Site, altitude, refracted
+from starcal_ros.workflows.still_images import (calibration, folder as star_folder, opencv_camera,
+                                                table)
+
+pytest.importorskip('tetra3rs')
+
+SKY = Path(__file__).parents[3] / 'shared' / 'data' / 'real_sky'
+EPOCH = '2026-03-05T22:10:00'
+SITE = Site(47.0, 8.5, 500.0, 950.0, 5.0)
+PIXELS = Detector(640, 480, calibration.PITCH_MM)
+TRUE = dict(zip(opencv_camera.KEYS, (2431.0, 327.0, 231.5, -0.12, 0.4, -6e-4, 9e-4)))
+"""15 deg across."""
+FOV = '15.5'
+
+
+def intrinsics(f_px, u0_px, v0_px, k1, k2, p1, p2):
+    """Return the project's camera of OpenCV's."""
+    return from_camera_info(np.array([f_px, 0, u0_px, 0, f_px, v0_px, 0, 0, 1]),
+                            np.array([k1, k2, p1, p2, 0]), PIXELS)
+
+
+class Camera:
+    """The true camera, that makes pictures of the sky."""
+
+    def __init__(self, observer=Observer('barycentre'), site=None, seed=1):
+        self.stars, self.rng = catalog.load(8.0), np.random.default_rng(seed)
+        self.stamp_ns = unix_ns(EPOCH)
+        self.u_i = apparent_places(
+            self.stars, np.arange(len(self.stars)), [self.stamp_ns], [len(self.stars)], observer)
+        self.vacuum = self.u_i
+        if site is not None:
+            self.u_i = refracted(self.u_i, np.full(len(self.u_i), self.stamp_ns), site)
+        self.renderer = Renderer(ImageConfig(full_well_electrons=5e4), PIXELS, 0.3, self.rng)
+
+    def towards(self, direction=None):
+        """Return the counts of an image of the sky about a direction, or about any."""
+        C_si = rotation.exp(3.0 * self.rng.standard_normal(3))
+        if direction is not None:
+            axis = np.cross(C_si[2], direction)
+            angle = np.arctan2(np.linalg.norm(axis), C_si[2] @ direction)
+            C_si = C_si @ rotation.exp(angle * axis / np.linalg.norm(axis)).T
+        r_s = self.u_i @ C_si.T
+        ahead = r_s[:, 2] > 0.98
+        uv = camera.project(r_s[ahead], intrinsics(**TRUE), PIXELS.pitch_mm)
+        trail = np.repeat(uv[None], 5, axis=0)
+        return self.renderer.counts(self.renderer.light(trail, self.stars.magnitude[ahead]))
+
+
+def save(path, counts, date_obs=None):
+    """Write counts as PNG or, with a time, as FITS."""
+    if path.suffix == '.png':
+        Image.fromarray(counts).save(path)
+    else:
+        unit = fits.PrimaryHDU(counts[::-1])
+        if date_obs:
+            unit.header['DATE-OBS'] = date_obs
+        unit.writeto(path)
+
+
+def errors(result):
+    return np.array([result[key] - TRUE[key] for key in opencv_camera.KEYS])
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """Return a folder of twelve images of two kinds."""
+    path, eye = tmp_path_factory.mktemp('sky'), Camera()
+    for k in range(12):
+        save(path / (f'{k:02d}.png' if k % 2 else f'{k:02d}.fits'), eye.towards(),
+             f'2026-03-05T22:{k:02d}:00.25')
+    return path
+
+
+def test_rendered_images_give_the_true_camera(folder, tmp_path, capsys):
+    out, page, table = tmp_path / 'c.json', tmp_path / 'p.html', tmp_path / 's.csv'
+    assert main(['intrinsics', str(folder), '--fov', FOV, '--heldout', '4', '--epoch', EPOCH,
+                 '--out', str(out), '--report', str(page), '--stars', str(table)]) == 0
+    result = json.loads(out.read_text())
+    error, sigma = errors(result), np.array([result['sigma'][key] for key in opencv_camera.KEYS])
+    assert (np.abs(error) < 4.0 * sigma).all()
+    assert error @ np.linalg.solve(result['covariance'], error) < chi2.ppf(0.9999, 7)
+    assert sigma[0] < 0.2
+    assert result['counts']['images'] == 9 and len(result['images']) == 12
+    assert [image['split'] for image in result['images']] == 3 * ['fit', 'fit', 'fit', 'heldout']
+    assert result['images'][0]['utc'] == '2026-03-05T22:00:00.250000'
+    assert result['images'][1]['utc'] == EPOCH and result['left_out'] == {}
+    # Centroids weigh as their sigmas say: the residuals are those of images that took no part.
+    assert result['heldout_rms_px'] == pytest.approx(result['fit_rms_px'], rel=0.25)
+    assert '11.png' in page.read_text() and 'held-out' in capsys.readouterr().out
+
+    again = tmp_path / 'again.json'
+    assert main(['intrinsics', '--centroids', str(table), '--width', '640', '--height', '480',
+                 '--epoch', EPOCH, '--out', str(again)]) == 0
+    # The table tells no times: minutes.
+    assert (np.abs(errors(json.loads(again.read_text())) - error) < 0.05 * sigma).all()
+
+
+def test_any_method_calibrates_and_the_field_may_be_unknown(folder, tmp_path):
+    out = tmp_path / 'c.json'
+    assert main(['intrinsics', str(folder), '--method', 'angular_distance', '--weighting', 'full',
+                 '--out', str(out)]) == 0
+    result = json.loads(out.read_text())
+    assert abs(result['f_px'] - TRUE['f_px']) < 4.0 * result['sigma']['f_px'] < 2.0
+
+
+def test_mirrored_images_are_flipped_and_an_odd_one_is_left_out(folder, tmp_path, capsys):
+    images, out, page = tmp_path / 'images', tmp_path / 'c.json', tmp_path / 'p.html'
+    images.mkdir()
+    for k in (1, 3, 5, 7, 9):
+        picture = Image.open(folder / f'{k:02d}.png')
+        (picture if k == 5 else ImageOps.flip(picture)).save(images / f'{k:02d}.png')
+    (images / 'text.png').write_text('no image')
+    Image.new('I;16', (640, 480), 100).save(images / 'dark.png')
+    assert main(['intrinsics', str(images), '--fov', FOV, '--out', str(out), '--report',
+                 str(page)]) == 0
+    result, said = json.loads(out.read_text()), capsys.readouterr().err
+    assert result['flipped'] and 'were flipped, top to bottom' in said
+    error, sigma = errors(result), np.array([result['sigma'][key] for key in opencv_camera.KEYS])
+    assert (np.abs(error) < 4.0 * sigma).all()
+    assert list(result['left_out']) == ['05.png', 'dark.png', 'text.png']
+    assert 'without a mirror' in result['left_out']['05.png']
+    assert 'not identified' in result['left_out']['dark.png']
+    assert 'warning: text.png left out: cannot identify image' in said
+    assert '<section id="left-out">' in page.read_text()
+
+
+def horizontal(altitude_deg, count):
+    """Return directions of an altitude, all around, in i."""
+    rng, stamp = np.random.default_rng(3), unix_ns(EPOCH)
+    any_ = rng.standard_normal((20000, 3))
+    any_ /= np.linalg.norm(any_, axis=1, keepdims=True)
+    off = np.abs(np.degrees(altitude(any_, np.full(len(any_), stamp), SITE)) - altitude_deg)
+    return any_[np.argsort(off)[:count]]
+
+
+def test_refraction_biases_a_camera_that_does_not_know_of_it(tmp_path, capsys):
+    """Images at 20 deg of altitude: a part in a thousand of f, and none with the site."""
+    images, eye = tmp_path / 'images', Camera(Observer('geocentre'), SITE)
+    images.mkdir()
+    for k, direction in enumerate(horizontal(20.0, 10)):
+        save(images / f'{k}.fits', eye.towards(direction), EPOCH)
+    results = []
+    for words in ([], ['--site', '47,8.5,500', '--pressure', '950', '--temperature', '5']):
+        assert main(['intrinsics', str(images), '--fov', FOV, '--out', str(tmp_path / 'c.json'),
+                     *words]) == 0
+        results.append(json.loads((tmp_path / 'c.json').read_text()))
+    without, corrected = results
+    assert abs(errors(without)[0]) > 4.0 * without['sigma']['f_px']
+    assert abs(errors(without)[0]) > 1.0
+    sigma = np.array([corrected['sigma'][key] for key in opencv_camera.KEYS])
+    assert (np.abs(errors(corrected)) < 4.0 * sigma).all() and sigma[0] < 0.3
+    assert corrected['fit_rms_px'] < 0.5 * without['fit_rms_px']
+    assert corrected['air']['pressure_hpa'] == 950.0
+    capsys.readouterr()
+    # Half a day later these stars are under the ground, and a site needs a time.
+    for path in images.iterdir():
+        with fits.open(path, mode='update') as units:
+            units[0].header['DATE-OBS'] = '2026-03-06T10:10:00'
+    assert main(['intrinsics', str(images), '--fov', FOV, '--site', '47,8.5']) == 2
+    assert 'show stars below the horizon: site or times are wrong' in capsys.readouterr().err
+
+
+def test_a_site_needs_times(folder, tmp_path, capsys):
+    shutil.copy(folder / '01.png', tmp_path)
+    assert main(['intrinsics', str(tmp_path), '--fov', FOV, '--site=-33.4,-70.7']) == 1
+    said = capsys.readouterr().err
+    assert '01.png: --site needs a time, which neither the file nor --epoch tells' in said
+
+
+@pytest.mark.parametrize('words, culprit', [
+    (['nothing'], 'nothing does not exist; needs an .mcap file, a rosbag2 directory, or a folder'),
+    (['empty'], 'empty holds no recording and no image'),
+    (['images/a.png'], 'images/a.png is one image'),
+    (['images'], 'images of different sizes: 64 x 48 px: a.png, c.png; 80 x 48 px: b.png'),
+    (['images', '--width', '64'], '--width: is for --centroids'),
+    (['images', '--config', 'x.yaml'], '--config: is for a recording'),
+    (['images', '--heldout', '1'], '--heldout: got 1, needs 2 or more'),
+    (['images', '--saturation', '-1'], '--saturation: got -1, needs more than 0'),
+    (['images', '--epoch', 'soon'], "--epoch: got 'soon', needs an ISO 8601 time"),
+    (['images', '--site', '47'], "--site: got '47', needs LAT,LON"),
+    (['images', '--site', '97,8'], 'latitude of the site: got 97 deg, allowed is -90 to 90'),
+    (['images', '--pressure', '900'], '--pressure: needs --site'),
+    (['images', '--stars', 'nowhere/s.csv'], 'nowhere/s.csv: cannot be written'),
+    (['one', '--fov', '-3'], 'field of view: got -3 deg, needs more than 0'),
+    (['--centroids', 's.csv', '--heldout', '4'], '--heldout: is for a folder of images'),
+    (['--centroids', 's.csv', '--width', '9', '--height', '9', '--site', '47,8'],
+     '--site: needs --epoch'),
+])
+def test_command_says_what_is_wrong(words, culprit, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ('empty', 'images', 'one'):
+        Path(name).mkdir()
+    for name, width in (('a', 64), ('b', 80), ('c', 64)):
+        Image.new('L', (width, 48)).save(f'images/{name}.png')
+    Image.new('L', (64, 48)).save('one/a.png')
+    assert main(['intrinsics', *words]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if 'reading' not in line]
+    assert len(said) == 1 and culprit in said[0]
+
+
+def test_images_of_which_none_can_be_used_are_named(tmp_path, capsys):
+    for k in range(7):
+        Image.new('L', (64, 48)).save(tmp_path / f'{k}.png')
+    assert main(['intrinsics', str(tmp_path), '--fov', '15']) == 1
+    said = capsys.readouterr().err
+    assert 'can be used (field of 13.5 to 16.5 deg looked for): 0.png: not identified' in said
+    assert 'and 2 more' in said
+    (tmp_path / 'text').mkdir()
+    (tmp_path / 'text' / 'a.png').write_text('no image')
+    assert main(['intrinsics', str(tmp_path / 'text'), '--fov', '15']) == 1
+    assert 'none of its images can be read: a.png: cannot identify' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('name, fov, limit, reference', [
+    ('tomc16', '14.3', 0.13, (3230.22, 404.18, 310.87, 0.0907, -0.339, -3.2e-4, 2.3e-4)),
+    ('granasat', '27', 0.14, (2657.86, 657.24, 431.17, -0.0314, 0.596, -7.4e-4, -1.1e-3)),
+])
+def test_real_images_give_the_camera_that_others_found(name, fov, limit, reference, tmp_path):
+    """Every fourth image held out, twice as many stars as in the tables of others."""
+    if not (SKY / name).is_dir():
+        pytest.skip(f'{SKY / name} is not there')
+    out = tmp_path / 'camera.json'
+    assert main(['intrinsics', str(SKY / name), '--fov', fov, '--heldout', '4', '--out',
+                 str(out)]) == 0
+    result = json.loads(out.read_text())
+    assert result['heldout_rms_px'] < limit and result['left_out'] == {}
+    for key, value in zip(opencv_camera.KEYS, reference):
+        assert abs(result[key] - value) < 4.0 * result['sigma'][key], key
+    with (SKY / name / 'stars.csv').open() as stream:
+        others = len(list(csv.DictReader(stream)))
+    assert result['counts']['stars'] + result['counts']['heldout_stars'] > 1.4 * others
+
+
+def test_images_at_the_same_time_keep_an_order():
+    found = table.assemble(list('abc'), [np.ones((1, 2))] * 3, [np.ones(1)] * 3,
+                           [False, True, False], EPOCH, stamp_ns=[200, 100, 200])
+    assert found.names == ('b', 'a', 'c') and found.heldout.tolist() == [True, False, False]
+    assert found.frames.stamp_ns.tolist() == [100, 200, 201]
+
+
+def test_a_table_of_stars_is_that_of_the_images(folder, tmp_path):
+    for name in ('00.fits', '01.png'):
+        shutil.copy(folder / name, tmp_path / name)
+    found = star_folder.read(tmp_path, float(FOV), EPOCH)
+    star_folder.write_table(tmp_path / 's.csv', found.images, [False, True])
+    read = table.read_centroids(tmp_path / 's.csv', EPOCH)
+    assert read.names == ('00.fits', '01.png') and read.heldout.tolist() == [False, True]
+    np.testing.assert_allclose(read.frames.sigma, np.concatenate(
+        [image.sigma for image in found.images]), atol=1e-5)
+
+
+def test_a_missing_library_is_named(folder, capsys, monkeypatch):
+    def refuse(name):
+        raise ImportError(name)
+    monkeypatch.setattr(patterns, 'import_module', refuse)
+    patterns.database.cache_clear()
+    assert main(['intrinsics', str(folder), '--fov', FOV]) == 2
+    assert "pip install 'starcal_ros[identify]'" in capsys.readouterr().err
