@@ -3,7 +3,6 @@
 """The layouts for other people's viewers name topics, fields and indices that there are."""
 
 import json
-from pathlib import Path
 import re
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -12,16 +11,14 @@ import pytest
 from rosbags.interfaces import Nodetype
 import yaml
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018, TOP
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES, STATE_NAMES
 from starcal_ros.messages import topics
 from starcal_ros.messages.conventions import GYRO_FRAME, STATE_LAYOUT
 from starcal_ros.recording.writer import typestore
 
-TOP = Path(__file__).parents[1]
 VIEWERS = TOP / 'config' / 'viewers'
-SCENARIO = parameter_file.load(TOP / 'config' / 'tan2018.yaml')
 TOPICS = {'/' + topic.name.lstrip('/'): topic for topic in topics.TOPICS}
 RVIZ_TYPES = {'PoseWithCovariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
               'Image': 'sensor_msgs/msg/Image'}
@@ -51,7 +48,7 @@ def calibration_status():
 
     from starcal_ros.nodes.estimator_diagnostics import Diagnostics
     node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
-    return Diagnostics(node, []).message(Calibrator(SCENARIO), enabled=True).status[0]
+    return Diagnostics(node, []).message(Calibrator(TAN2018), enabled=True).status[0]
 
 
 def state_of(index):

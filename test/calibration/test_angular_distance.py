@@ -2,20 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Angular distances: cosines, their slopes and variances, and both weightings."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 
+from instruments import INTRINSICS, LENS, PITCH_MM
 from starcal_ros.calibration import invariants
 from starcal_ros.calibration.methods import angular_distance
 from starcal_ros.core import camera, rotation
 from starcal_ros.measurements.samples import Stars
 
-PITCH = 0.00645
-T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
-LENS = invariants.Lens(partial(camera.unproject, pitch_mm=PITCH),
-                       partial(camera.linearize, pitch_mm=PITCH))
 SIGMA = 0.05
 
 
@@ -24,13 +19,13 @@ def stars():
     """Return a noisy frame of 9 stars, sigmas not all the same."""
     rng = np.random.default_rng(1)
     uv, sigma = rng.uniform(-500.0, 500.0, (9, 2)), SIGMA * rng.uniform(1.0, 2.0, 9)
-    u_i = camera.unproject(uv, T18, PITCH) @ rotation.exp(rng.normal(size=3))
+    u_i = camera.unproject(uv, INTRINSICS, PITCH_MM) @ rotation.exp(rng.normal(size=3))
     return Stars(u_i, uv + sigma[:, None] * rng.standard_normal((9, 2)), sigma)
 
 
 def angles(uv, lens):
     """Return the angles of all pairs behind a camera, the textbook way."""
-    return between(camera.unproject(uv, lens, PITCH))
+    return between(camera.unproject(uv, lens, PITCH_MM))
 
 
 def between(w):
@@ -47,11 +42,11 @@ def differences(function, steps):
 def literal(stars):
     """Return residuals of the angles, slopes by lens and by centroids: all by differences."""
     def by_uv(step):
-        return angles(stars.uv + step.reshape(-1, 2), T18)
+        return angles(stars.uv + step.reshape(-1, 2), INTRINSICS)
 
-    z = between(stars.u_i) - angles(stars.uv, T18)
+    z = between(stars.u_i) - angles(stars.uv, INTRINSICS)
     lens_steps = np.diag([1.0, 1.0, 1e-2, 1e-6, 1e-8, 1e-6, 1e-6])
-    A = -differences(lambda step: angles(stars.uv, T18 + step), lens_steps)
+    A = -differences(lambda step: angles(stars.uv, INTRINSICS + step), lens_steps)
     J = differences(by_uv, 0.1 * np.eye(stars.uv.size))
     return z, A, J
 
@@ -86,7 +81,7 @@ def test_diagonal_weighting_is_that_of_the_angles_one_by_one(stars):
     z, A, J = literal(stars)
     sigma = np.linalg.norm(J * np.repeat(stars.sigma, 2), axis=1)
     expected = invariants.information(z / sigma, A / sigma[:, None])
-    found = angular_distance.diagonal(invariants.linearize(stars, T18, LENS))
+    found = angular_distance.diagonal(invariants.linearize(stars, INTRINSICS, LENS))
     scale = np.sqrt(np.diag(expected.matrix))
     # Slopes at the measured places there and at fitted ones here: 0.1 px of 500, squared or not.
     np.testing.assert_allclose(found.matrix / np.outer(scale, scale),
@@ -102,7 +97,7 @@ def test_full_weighting_is_the_pseudo_inverse_of_the_covariance_of_all_angles(st
     assert values[2 * 9 - 4] > 1e6 * abs(values[2 * 9 - 3])
     weight = np.linalg.pinv(covariance, rcond=np.sqrt(values[14] * abs(values[15])) / values[0],
                             hermitian=True)
-    found = angular_distance.full(invariants.linearize(stars, T18, LENS))
+    found = angular_distance.full(invariants.linearize(stars, INTRINSICS, LENS))
     scale = np.sqrt(np.diag(found.matrix))
     np.testing.assert_allclose(found.matrix / np.outer(scale, scale),
                                A.T @ weight @ A / np.outer(scale, scale), atol=2e-3)
@@ -110,19 +105,20 @@ def test_full_weighting_is_the_pseudo_inverse_of_the_covariance_of_all_angles(st
 
 
 def test_angles_of_a_frame_without_noise_are_those_of_the_catalogue(stars):
-    exact = stars._replace(u_i=camera.unproject(stars.uv, T18, PITCH) @ rotation.exp(np.ones(3)))
+    w = camera.unproject(stars.uv, INTRINSICS, PITCH_MM)
+    exact = stars._replace(u_i=w @ rotation.exp(np.ones(3)))
     for weighting in (angular_distance.diagonal, angular_distance.full):
-        matrix, vector = weighting(invariants.linearize(exact, T18, LENS))
+        matrix, vector = weighting(invariants.linearize(exact, INTRINSICS, LENS))
         np.testing.assert_allclose(vector / np.sqrt(np.diag(matrix)), 0.0, atol=1e-6)
 
 
 def test_stars_that_coincide_do_no_harm(stars):
     doubled = Stars(*(np.concatenate((part, part[:1])) for part in stars))
     for weighting in (angular_distance.diagonal, angular_distance.full):
-        matrix, vector = weighting(invariants.linearize(doubled, T18, LENS))
+        matrix, vector = weighting(invariants.linearize(doubled, INTRINSICS, LENS))
         assert np.isfinite(matrix).all() and np.isfinite(vector).all()
         # what nine stars tell, and a little more
-        alone = weighting(invariants.linearize(stars, T18, LENS)).matrix
+        alone = weighting(invariants.linearize(stars, INTRINSICS, LENS)).matrix
         assert (np.diag(matrix) >= np.diag(alone) * (1.0 - 1e-9)).all()
 
 
@@ -131,8 +127,8 @@ def test_both_weightings_take_batches(stars):
     u_i = np.stack((stars.u_i, stars.u_i[::-1]))
     sigma = np.stack((stars.sigma, stars.sigma[::-1]))
     for weighting in (angular_distance.diagonal, angular_distance.full):
-        batch = weighting(invariants.linearize(Stars(u_i, uv, sigma), T18, LENS))
-        alone = weighting(invariants.linearize(stars, T18, LENS))
+        batch = weighting(invariants.linearize(Stars(u_i, uv, sigma), INTRINSICS, LENS))
+        alone = weighting(invariants.linearize(stars, INTRINSICS, LENS))
         for part, expected in zip(batch, alone):
             for run in range(2):        # in whatever order the stars stand
                 np.testing.assert_allclose(part[run], expected, rtol=1e-6,

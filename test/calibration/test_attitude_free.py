@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from instruments import INTRINSICS, LENS, PITCH_MM
 from starcal_ros.calibration import attitude_free, invariants
 from starcal_ros.calibration.attitude_free import AttitudeFree, CameraBelief
 from starcal_ros.calibration.methods import angular_distance, singular_value
@@ -18,22 +19,18 @@ from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
 
-PITCH = 0.00645
-T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
 NOMINAL = np.array([0.0, 0.0, 25.5, 0.0, 0.0, 0.0, 0.0])
 INITIAL = np.array([20.0, 20.0, 0.2, 1e-3, 1e-5, 1e-4, 1e-4])
-LENS = invariants.Lens(partial(camera.unproject, pitch_mm=PITCH),
-                       partial(camera.linearize, pitch_mm=PITCH))
 SIGMA = 0.05
 GATE = float(chi2.ppf(0.9999, 2))
 SVD = partial(singular_value.measure, model=4, chosen=(2, 3), full=True)
 BOTH = pytest.mark.parametrize('measure', [angular_distance.full, SVD], ids=['angles', 'svd'])
 
 
-def frame_of(n, rng, truth=T18, runs=()):
+def frame_of(n, rng, truth=INTRINSICS, runs=()):
     """Return a noisy frame of n stars at some attitude, once for each run."""
     uv = rng.uniform(-500.0, 500.0, (n, 2))
-    u_i = camera.unproject(uv, truth, PITCH) @ rotation.exp(rng.normal(size=3))
+    u_i = camera.unproject(uv, truth, PITCH_MM) @ rotation.exp(rng.normal(size=3))
     return Stars(np.tile(u_i, (*runs, 1, 1)),
                  uv + SIGMA * rng.standard_normal((*runs, n, 2)), np.full((*runs, n), SIGMA))
 
@@ -47,23 +44,23 @@ def nees(belief, truth):
 def test_filter_ends_where_it_says_from_far_away(measure):
     """100 runs from errors drawn from the prior; 40 frames of 15 stars each."""
     rng, runs = np.random.default_rng(1), 100
-    belief = CameraBelief(T18 + INITIAL * rng.standard_normal((runs, 7)),
+    belief = CameraBelief(INTRINSICS + INITIAL * rng.standard_normal((runs, 7)),
                           np.broadcast_to(np.diag(INITIAL), (runs, 7, 7)))
     for _ in range(40):
         belief = attitude_free.update(belief, frame_of(15, rng, runs=(runs,)), LENS, measure)
     low, high = chi2.ppf([0.0005, 0.9995], 7 * runs) / runs
-    assert low < nees(belief, T18).mean() < high
+    assert low < nees(belief, INTRINSICS).mean() < high
 
 
 def test_update_is_the_least_squares_adjustment_of_a_frame_and_its_prior():
     """Gauss-Newton with the attitude as three more unknowns, to convergence."""
     rng = np.random.default_rng(2)
     stars = frame_of(15, rng)
-    prior = CameraBelief(T18 + 0.3 * INITIAL * rng.standard_normal(7), np.diag(INITIAL))
+    prior = CameraBelief(INTRINSICS + 0.3 * INITIAL * rng.standard_normal(7), np.diag(INITIAL))
     x = prior.parameters.copy()
-    C_si = invariants.align(stars.u_i, camera.unproject(stars.uv, x, PITCH), np.ones((15, 1)))
+    C_si = invariants.align(stars.u_i, camera.unproject(stars.uv, x, PITCH_MM), np.ones((15, 1)))
     for _ in range(20):
-        uv, N, H = camera.linearize(stars.u_i @ C_si.T, x, PITCH)
+        uv, N, H = camera.linearize(stars.u_i @ C_si.T, x, PITCH_MM)
         A = np.concatenate((N, H), axis=-1).reshape(-1, 10) / SIGMA
         A = np.vstack((A, np.hstack((np.zeros((7, 3)), np.diag(1.0 / INITIAL)))))
         b = np.concatenate(((uv - stars.uv).ravel() / SIGMA, (x - prior.parameters) / INITIAL))
@@ -81,14 +78,14 @@ def test_update_is_the_least_squares_adjustment_of_a_frame_and_its_prior():
 def test_misfit_of_a_star_is_the_fall_of_the_sum_of_squares_without_it():
     rng = np.random.default_rng(3)
     stars = frame_of(9, rng)
-    root, x = np.diag(1e-2 * INITIAL), T18
+    root, x = np.diag(1e-2 * INITIAL), INTRINSICS
     misfit = attitude_free._misfit(invariants.linearize(stars, x, LENS), root, np.zeros(7))
 
     def least(use):
         part = Stars(*(values[use] for values in stars))
         # the slopes of the whole frame: the fall is that of the linear problem
         r_s = invariants.linearize(stars, x, LENS).r_s[use]
-        uv, N, H = camera.linearize(r_s, x, PITCH)
+        uv, N, H = camera.linearize(r_s, x, PITCH_MM)
         A = np.concatenate((N, H @ root), axis=-1).reshape(-1, 10) / SIGMA
         A = np.vstack((A, np.hstack((np.zeros((7, 3)), np.eye(7)))))
         b = np.concatenate(((uv - part.uv).ravel() / SIGMA, np.zeros(7)))
@@ -108,7 +105,7 @@ def test_wrong_stars_are_found_and_the_good_ones_kept(measure, known):
         wrong = rng.choice(16, 3, replace=False)
         stars.u_i[wrong[:2]] = stars.u_i[wrong[1::-1]]          # two take each other's number
         stars.uv[wrong[2]] += [2.0, -1.0]                       # one is 45 sigmas off
-        prior = CameraBelief(T18 + known * 0.5 * INITIAL * rng.standard_normal(7),
+        prior = CameraBelief(INTRINSICS + known * 0.5 * INITIAL * rng.standard_normal(7),
                              np.diag(known * INITIAL))
         belief, used = attitude_free.screen(prior, stars, LENS, measure, GATE)
         assert sorted(np.flatnonzero(~used)) == sorted(wrong)
@@ -120,13 +117,14 @@ def test_wrong_stars_are_found_and_the_good_ones_kept(measure, known):
 @BOTH
 def test_frame_of_other_stars_changes_nothing(measure):
     rng = np.random.default_rng(5)
-    prior = CameraBelief(T18, np.diag(INITIAL))
+    prior = CameraBelief(INTRINSICS, np.diag(INITIAL))
     strange = frame_of(12, rng)._replace(u_i=frame_of(12, rng).u_i)
     belief, used = attitude_free.screen(prior, strange, LENS, measure, GATE)
     assert not used.any() and belief is prior
 
 
-@pytest.mark.parametrize('parameters', [T18 * np.nan, T18 + [0, 0, 0, 1e3, 1e4, 0, 0]])
+@pytest.mark.parametrize('parameters', [INTRINSICS * np.nan,
+                                        INTRINSICS + [0, 0, 0, 1e3, 1e4, 0, 0]])
 def test_impossible_camera_is_no_crash(parameters):
     stars = frame_of(6, np.random.default_rng(6))
     prior = CameraBelief(parameters, np.diag(INITIAL))
@@ -137,7 +135,7 @@ def test_impossible_camera_is_no_crash(parameters):
 # As a CameraMethod
 
 
-def frames_of(count, rng, truth=T18, first=0):
+def frames_of(count, rng, truth=INTRINSICS, first=0):
     """Return frames of 12 catalogue stars, 2 Hz, anywhere in the sky."""
     stars = catalog.load(6.5)
     stamps = 1_782_993_600_000_000_000 + (first + np.arange(count)) * 500_000_000
@@ -146,7 +144,7 @@ def frames_of(count, rng, truth=T18, first=0):
         places = apparent_places(stars, np.arange(len(stars)), [stamp], [len(stars)],
                                  observer(Scenario().observer))
         r_s = places @ rotation.exp(rng.normal(size=3)).T
-        uv = camera.project(r_s, truth, PITCH)
+        uv = camera.project(r_s, truth, PITCH_MM)
         seen = np.flatnonzero((r_s[:, 2] > 0.9) & (np.abs(uv) < 500.0).all(axis=-1))[:12]
         uv_raster.append(uv[seen] + 511.5 + SIGMA * rng.standard_normal((len(seen), 2)))
         hips.append(stars.hip[seen])
@@ -165,7 +163,7 @@ def test_estimate_begins_with_the_first_frame_and_stays_within_its_sigma():
     method.add_frames(frames_of(60, np.random.default_rng(7)))
     estimate = method.estimate()
     assert (estimate.frames, estimate.stars) == (60, 60 * 12)
-    assert (np.abs(estimate.intrinsics - T18) < 4.0 * estimate.sigma).all()
+    assert (np.abs(estimate.intrinsics - INTRINSICS) < 4.0 * estimate.sigma).all()
     assert method.take_notices() == []
 
 
@@ -203,7 +201,7 @@ def test_calibration_begins_afresh_where_the_camera_has_changed():
     rng = np.random.default_rng(12)
     method = begin()
     method.add_frames(frames_of(60, rng))
-    moved = T18 + [0, 0, 0.2, 0, 0, 0, 0]
+    moved = INTRINSICS + [0, 0, 0.2, 0, 0, 0, 0]
     method.add_frames(frames_of(60, rng, truth=moved, first=60))
     assert any('begins afresh' in text for text in method.take_notices())
     estimate = method.estimate()

@@ -3,30 +3,26 @@
 """The bundle adjustment is least squares, says the truth about its error, and lets go of spots."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros import calibration
 from starcal_ros.calibration import bundle_adjustment
 from starcal_ros.calibration.bundle_adjustment import Observations, adjust
 from starcal_ros.calibration.bundle_start import attitudes
 from starcal_ros.calibration.methods import bundle as bundle_method
-from starcal_ros.config import parameter_file
 from starcal_ros.core import camera, rotation
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation import sensors
 
-CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
-
-PITCH, TRUE = 0.00645, np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
 GATE, SIGMA = float(chi2.ppf(0.9999, 2)), 0.05
 PRIOR = np.array([20.0, 20.0, 0.2, 1e-3, 1e-5, 1e-4, 1e-4])
 PRIOR_P, WIDE = np.diag(PRIOR**2), np.diag((1e3 * PRIOR)**2)
-START = TRUE + np.array([-5.0, -10.0, -0.1, -2e-4, 1e-6, -2e-5, -2e-5])
+START = INTRINSICS + np.array([-5.0, -10.0, -0.1, -2e-4, 1e-6, -2e-5, -2e-5])
 NO_POINTS = np.empty((0, 3))
 
 
@@ -35,7 +31,7 @@ def scene(rng, frames, stars, sigma=SIGMA, spread_deg=4.0):
     u = rotation.exp(np.radians(spread_deg) * rng.uniform(-1.5, 1.5, (stars, 3))) @ [0.0, 0, 1]
     tilt = rng.uniform(-1.0, 1.0, (frames, 3)) * np.radians(spread_deg) * [0.6, 0.6, 20.0]
     C_si = rotation.exp(tilt)
-    uv = camera.project(u @ np.swapaxes(C_si, -1, -2), TRUE, PITCH)
+    uv = camera.project(u @ np.swapaxes(C_si, -1, -2), INTRINSICS, PITCH_MM)
     seen = (np.abs(uv) < 512).all(axis=-1)
     frame, star = np.nonzero(seen)
     uv = uv[seen] + sigma * rng.standard_normal((seen.sum(), 2))
@@ -61,11 +57,11 @@ def jittered(C, rng, angle=1e-3):
 def test_without_noise_the_camera_is_found_exactly():
     rng = np.random.default_rng(1)
     spots, C_si, u, star = scene(rng, 12, 60, sigma=0.0)
-    known = adjust(spots, START, jittered(C_si, rng), NO_POINTS, PITCH, WIDE, GATE)
-    np.testing.assert_allclose(known.intrinsics, TRUE, rtol=1e-6, atol=1e-10)
+    known = adjust(spots, START, jittered(C_si, rng), NO_POINTS, PITCH_MM, WIDE, GATE)
+    np.testing.assert_allclose(known.intrinsics, INTRINSICS, rtol=1e-6, atol=1e-10)
     unidentified, seen = without_places(spots, star)
-    free = adjust(unidentified, START, jittered(C_si, rng), u[seen], PITCH, WIDE, GATE)
-    np.testing.assert_allclose(free.intrinsics, TRUE, rtol=1e-5, atol=1e-8)
+    free = adjust(unidentified, START, jittered(C_si, rng), u[seen], PITCH_MM, WIDE, GATE)
+    np.testing.assert_allclose(free.intrinsics, INTRINSICS, rtol=1e-5, atol=1e-8)
     assert np.abs(known.residual).max() < 1e-6 and np.abs(free.residual).max() < 1e-6
 
 
@@ -83,21 +79,21 @@ def test_it_is_the_least_squares_fit_of_all_unknowns(named):
         points) else np.empty((0, 3, 2))
 
     def misfit(x):
-        intrinsics = TRUE + scale * x[:7]
+        intrinsics = INTRINSICS + scale * x[:7]
         C = rotation.exp(1e-5 * x[7:19].reshape(4, 3)) @ C_si
         moved = points + 1e-5 * (basis @ x[19:].reshape(-1, 2, 1))[..., 0]
         directions = spots.u_i if named else moved[spots.point]
-        uv = camera.project((C[spots.frame] @ directions[..., None])[..., 0], intrinsics, PITCH)
+        uv = camera.project((C[spots.frame] @ directions[..., None])[..., 0], intrinsics, PITCH_MM)
         held = [] if named else 1e3 * x[7:10]
         return np.concatenate((((spots.uv - uv) / SIGMA).ravel(),
                                scale * x[:7] / PRIOR, held))
 
     best = least_squares(misfit, np.zeros(19 + 2 * len(points)), '3-point', x_scale='jac',
                          xtol=1e-12)
-    found = adjust(spots, TRUE, C_si, points, PITCH, PRIOR_P, np.inf)
+    found = adjust(spots, INTRINSICS, C_si, points, PITCH_MM, PRIOR_P, np.inf)
     covariance = np.linalg.inv(best.jac.T @ best.jac)[:7, :7] * np.outer(scale, scale)
     sigma = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose((found.intrinsics - TRUE) / sigma, scale * best.x[:7] / sigma,
+    np.testing.assert_allclose((found.intrinsics - INTRINSICS) / sigma, scale * best.x[:7] / sigma,
                                atol=5e-3)
     np.testing.assert_allclose(found.covariance / np.outer(sigma, sigma),
                                covariance / np.outer(sigma, sigma), atol=1e-3)
@@ -110,12 +106,12 @@ def test_covariance_says_the_truth(named):
     for seed in range(runs):
         rng = np.random.default_rng([3, seed])
         spots, C_si, u, star = scene(rng, 10, 40)
-        start, points = TRUE + PRIOR * rng.standard_normal(7), NO_POINTS
+        start, points = INTRINSICS + PRIOR * rng.standard_normal(7), NO_POINTS
         if not named:
             spots, seen = without_places(spots, star)
             points = u[seen]
-        found = adjust(spots, start, jittered(C_si, rng), points, PITCH, PRIOR_P, GATE)
-        error = found.intrinsics - TRUE
+        found = adjust(spots, start, jittered(C_si, rng), points, PITCH_MM, PRIOR_P, GATE)
+        error = found.intrinsics - INTRINSICS
         total += error @ np.linalg.solve(found.covariance, error)
     low, high = chi2.ppf([0.0005, 0.9995], 7 * runs) / runs
     assert low < total / runs < high
@@ -125,7 +121,7 @@ def test_what_is_held_stays():
     rng = np.random.default_rng(4)
     spots, C_si, *_ = scene(rng, 8, 40)
     prior = PRIOR * [1, 1, 1, 1, 0, 0, 0]
-    found = adjust(spots, START, C_si, NO_POINTS, PITCH, np.diag(prior**2), GATE)
+    found = adjust(spots, START, C_si, NO_POINTS, PITCH_MM, np.diag(prior**2), GATE)
     assert (found.intrinsics[4:] == START[4:]).all() and not found.covariance[4:].any()
     assert (np.diag(found.covariance)[:4] > 0.0).all()
 
@@ -142,12 +138,12 @@ def test_wrong_stars_are_let_go(part, where):
     anywhere /= np.linalg.norm(anywhere, axis=-1, keepdims=True)
     places[wrong] = (np.roll(places, 7, axis=0) if where == 'field' else anywhere)[wrong]
     spots = spots._replace(u_i=places)
-    start = attitudes(spots, camera.unproject(spots.uv, START, PITCH))
+    start = attitudes(spots, camera.unproject(spots.uv, START, PITCH_MM))
     assert np.degrees(np.linalg.norm(rotation.log(start @ np.swapaxes(C_si, -1, -2)),
                                      axis=-1)).max() < 1.4         # a tenth of the field
-    found = adjust(spots, START, start, NO_POINTS, PITCH, PRIOR_P, GATE)
+    found = adjust(spots, START, start, NO_POINTS, PITCH_MM, PRIOR_P, GATE)
     alone = adjust(Observations(*(column[~wrong] for column in spots)), START, start,
-                   NO_POINTS, PITCH, PRIOR_P, GATE)
+                   NO_POINTS, PITCH_MM, PRIOR_P, GATE)
     assert not found.used[wrong].any() and found.used[~wrong].mean() > 0.998
     sigma = np.sqrt(np.diag(alone.covariance))
     np.testing.assert_allclose((found.intrinsics - alone.intrinsics) / sigma, 0.0, atol=2e-3)
@@ -164,14 +160,14 @@ def test_groups_that_share_no_star_each_keep_one_attitude():
         (unidentified.point, unidentified.point + count))))
     turn = rotation.exp(np.array([0.3, -0.2, 1.0]))
     found = adjust(twice, START, np.concatenate((C_si, C_si @ turn.T)),
-                   np.concatenate((u[seen], u[seen] @ turn.T)), PITCH, WIDE, GATE)
-    np.testing.assert_allclose(found.intrinsics, TRUE, rtol=1e-5, atol=1e-8)
+                   np.concatenate((u[seen], u[seen] @ turn.T)), PITCH_MM, WIDE, GATE)
+    np.testing.assert_allclose(found.intrinsics, INTRINSICS, rtol=1e-5, atol=1e-8)
 
 
 def test_attitudes_solve_wahbas_problem():
     rng = np.random.default_rng(7)
     spots, C_si, *_ = scene(rng, 5, 30, sigma=0.0)
-    found = attitudes(spots, camera.unproject(spots.uv, TRUE, PITCH))
+    found = attitudes(spots, camera.unproject(spots.uv, INTRINSICS, PITCH_MM))
     np.testing.assert_allclose(found, C_si, atol=1e-9)
     mirrored = rotation.wahba(np.diag([1.0, 1.0, -1.0]))
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
@@ -180,7 +176,7 @@ def test_attitudes_solve_wahbas_problem():
 @pytest.fixture(scope='module')
 def unidentified():
     """Return the gyro readings and the unidentified frames of two slews, and the scenario."""
-    scenario = parameter_file.load(CONFIG).replace({
+    scenario = TAN2018.replace({
         'simulation.duration_s': 200.0, 'intrinsics.method': 'bundle',
         'camera.focal_length_mm': 23.0, 'estimator.initial_sigma.focal_length_mm': 2.5})
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
@@ -197,9 +193,9 @@ def test_spots_without_a_name_give_camera_and_distortion(unidentified):
         method.add_gyro(readings)
         method.add_frames(frames)
         found.append(method.estimate())
-    error = found[0].intrinsics - TRUE
+    error = found[0].intrinsics - INTRINSICS
     assert error @ np.linalg.solve(found[0].covariance, error) < 24.3   # 0.999 of chi-square, 7
-    assert found[0].sigma[2] < 0.03 and found[0].sigma[3] < 0.02 * TRUE[3]
+    assert found[0].sigma[2] < 0.03 and found[0].sigma[3] < 0.02 * INTRINSICS[3]
     np.testing.assert_allclose((found[1].intrinsics - found[0].intrinsics) / found[0].sigma, 0.0,
                                atol=0.05)
     assert 0.95 * bundle_method.FRAMES < found[0].frames <= bundle_method.FRAMES
@@ -227,7 +223,7 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     rng = np.random.default_rng(9)
     spots, C_si, u, star = scene(rng, 12, 60)
     unidentified, seen = without_places(spots, star)
-    problem = bundle_adjustment._Problem(unidentified, START, PITCH, WIDE)
+    problem = bundle_adjustment._Problem(unidentified, START, PITCH_MM, WIDE)
     state = bundle_adjustment._State(START, C_si, u[seen])
     lost = unidentified.point == 5
     normal = problem.normal(state, np.where(lost, 0.0, 1.0 / SIGMA), problem.residual(state))
@@ -236,7 +232,7 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     without = unidentified._replace(point=np.where(unidentified.point > 5, unidentified.point - 1,
                                                    unidentified.point))
     without = Observations(*(part[~lost] for part in without))
-    other = bundle_adjustment._Problem(without, START, PITCH, WIDE).normal(
+    other = bundle_adjustment._Problem(without, START, PITCH_MM, WIDE).normal(
         state._replace(points=np.delete(state.points, 5, axis=0)),
         np.full((~lost).sum(), 1.0 / SIGMA))
     np.testing.assert_allclose(normal.camera_covariance(), other.camera_covariance(), rtol=1e-6)

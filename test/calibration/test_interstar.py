@@ -3,15 +3,14 @@
 """The method `interstar` on recordings: right, consistent, live as offline, hard to upset."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from instruments import TAN2018
 from starcal_ros import calibration
 from starcal_ros.calibration.interstar_solver import followed, identified
 from starcal_ros.calibration.methods import interstar
-from starcal_ros.config import parameter_file
 from starcal_ros.config.models import intrinsics
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core.camera import INTRINSICS
@@ -19,9 +18,8 @@ from starcal_ros.evaluation import consistency
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 
-SCENARIO = parameter_file.load(
-    Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace({
-        'simulation.duration_s': 200.0, 'motion.dwell_s': 5.0, 'intrinsics.method': 'interstar'})
+SCENARIO = TAN2018.replace({
+    'simulation.duration_s': 200.0, 'motion.dwell_s': 5.0, 'intrinsics.method': 'interstar'})
 TRUTH = intrinsics(SCENARIO.camera, SCENARIO.truth.camera)
 SIGMA_PX = SCENARIO.star_tracker.centroid_sigma_px
 METHODS = ('TCOC', 'TCWC', 'SCOC', 'SCWC')

@@ -4,21 +4,20 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 import re
 
 import numpy as np
 import pytest
 
+from instruments import TAN2018, TOP
 from starcal_ros import calibration
-from starcal_ros.config import models, parameter_file
+from starcal_ros.config import models
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 
-T18 = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml')
-SLEWING = T18.replace({'motion.dwell_s': 0.0, 'motion.rate_deg_s': 2.0,
-                       'simulation.duration_s': 120.0, 'star_tracker.limiting_magnitude': 6.0})
+SLEWING = TAN2018.replace({'motion.dwell_s': 0.0, 'motion.rate_deg_s': 2.0,
+                           'simulation.duration_s': 120.0, 'star_tracker.limiting_magnitude': 6.0})
 
 NEEDS: dict[str, dict[str, object]] = {}
 """Parameters that a method needs beside, by its name: more motion, say."""
@@ -163,7 +162,7 @@ def test_frames_without_any_star_that_is_known_give_no_estimate(method):
 
 
 def test_example_of_the_documentation_ends_at_the_truth():
-    page = Path(__file__).parents[1] / 'docs' / 'howto' / 'add_method.md'
+    page = TOP / 'docs' / 'howto' / 'add_method.md'
     example = re.search(r'```python\n(.*?)```', page.read_text(), re.DOTALL)
     module = {}
     exec(example[1], module)
@@ -176,4 +175,4 @@ def test_example_of_the_documentation_ends_at_the_truth():
 
 def test_unknown_method_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match="intrinsics.method: got 'x', allowed are .*angular"):
-        calibration.start(T18.replace({'intrinsics.method': 'x'}))
+        calibration.start(TAN2018.replace({'intrinsics.method': 'x'}))

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Singular values: groups of stars, slopes, second order, both weightings."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 
+from instruments import INTRINSICS, LENS, PITCH_MM
 from starcal_ros.calibration import invariants
 from starcal_ros.calibration.methods import singular_value
 from starcal_ros.config.parameter import ConfigError
@@ -14,17 +13,13 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, rotation
 from starcal_ros.measurements.samples import Stars
 
-PITCH = 0.00645
-T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
-LENS = invariants.Lens(partial(camera.unproject, pitch_mm=PITCH),
-                       partial(camera.linearize, pitch_mm=PITCH))
 SIGMA = 0.05
 LENS_STEPS = np.diag([1.0, 1.0, 1e-2, 1e-6, 1e-8, 1e-6, 1e-6])
 
 
 def frame_of(uv, rng, noise=1.0):
     """Return a frame of stars near some places of T18's detector."""
-    u_i = camera.unproject(uv, T18, PITCH) @ rotation.exp(rng.normal(size=3))
+    u_i = camera.unproject(uv, INTRINSICS, PITCH_MM) @ rotation.exp(rng.normal(size=3))
     return Stars(u_i, uv + noise * SIGMA * rng.standard_normal(uv.shape),
                  np.full(len(uv), SIGMA))
 
@@ -50,11 +45,11 @@ def differences(function, steps):
 def literal(stars, model, chosen):
     """Return residuals, slopes by lens and by centroids: all by differences."""
     def values(uv, lens):
-        return svd(camera.unproject(uv, lens, PITCH), model, chosen)
+        return svd(camera.unproject(uv, lens, PITCH_MM), model, chosen)
 
-    z = svd(stars.u_i, model, chosen) - values(stars.uv, T18)
-    A = -differences(lambda step: values(stars.uv, T18 + step), LENS_STEPS)
-    J = differences(lambda step: values(stars.uv + step.reshape(-1, 2), T18),
+    z = svd(stars.u_i, model, chosen) - values(stars.uv, INTRINSICS)
+    A = -differences(lambda step: values(stars.uv, INTRINSICS + step), LENS_STEPS)
+    J = differences(lambda step: values(stars.uv + step.reshape(-1, 2), INTRINSICS),
                     0.1 * np.eye(stars.uv.size))
     return z, A, J
 
@@ -84,7 +79,7 @@ def test_gram_matrices_hold_the_squared_singular_values(model, stars):
 @pytest.mark.parametrize('chosen', [(1,), (2,), (3,), (2, 3), (1, 2, 3)])
 def test_slopes_by_centroids_agree_with_central_differences(model, chosen, stars):
     member = singular_value.groups(model, 9)
-    w, dw_duv, _ = camera.backproject(stars.uv, T18, PITCH)
+    w, dw_duv, _ = camera.backproject(stars.uv, INTRINSICS, PITCH_MM)
     squares, p = np.linalg.eigh(singular_value.gram(member, w))
     order = 3 - np.array(chosen)
     found = singular_value.slopes(member, w, p[..., order], np.sqrt(squares[..., order]), dw_duv)
@@ -100,7 +95,7 @@ def test_information_is_that_of_the_values_written_out(chosen, full, stars):
     covariance = SIGMA**2 * J @ J.T
     if not full:
         covariance = np.diag(np.diag(covariance))
-    found = singular_value.measure(invariants.linearize(stars, T18, LENS), 4, chosen, full)
+    found = singular_value.measure(invariants.linearize(stars, INTRINSICS, LENS), 4, chosen, full)
     weighted = np.linalg.solve(covariance, np.column_stack((z, A)))
     scale = np.sqrt(np.diag(found.matrix))
     # Slopes at the measured places there, at fitted ones here; and the second order, which is
@@ -112,7 +107,7 @@ def test_information_is_that_of_the_values_written_out(chosen, full, stars):
 
 def test_all_but_one_with_their_covariance_know_what_all_angles_know(stars):
     """2 n singular values of rank 2 n - 3: nothing of Eq. (I.1) is lost but the second order."""
-    frame = invariants.linearize(stars, T18, LENS)
+    frame = invariants.linearize(stars, INTRINSICS, LENS)
     everything = invariants.information(frame.z, frame.H).matrix
     found = singular_value.measure(frame, 3, (2, 3), True).matrix
     scale = np.sqrt(np.diag(everything))
@@ -122,7 +117,7 @@ def test_all_but_one_with_their_covariance_know_what_all_angles_know(stars):
 
 @pytest.mark.parametrize('model, chosen', [(4, (2, 3)), (1, (2, 3)), (4, (1, 2, 3))])
 def test_no_choice_knows_more_than_all_angles(model, chosen, stars):
-    frame = invariants.linearize(stars, T18, LENS)
+    frame = invariants.linearize(stars, INTRINSICS, LENS)
     everything = invariants.information(frame.z, frame.H).matrix
     scale = np.sqrt(np.diag(everything))
     lost = (everything - singular_value.measure(frame, model, chosen, True).matrix)
@@ -132,7 +127,7 @@ def test_no_choice_knows_more_than_all_angles(model, chosen, stars):
 def test_second_order_is_that_of_many_draws():
     """What is left of sigma_2 and sigma_3 without their first order scatters as stated."""
     rng, draws, m, v = np.random.default_rng(2), 20_000, 8, 1e-4**2
-    w = camera.unproject(rng.uniform(-500.0, 500.0, (m, 2)), T18, PITCH)
+    w = camera.unproject(rng.uniform(-500.0, 500.0, (m, 2)), INTRINSICS, PITCH_MM)
     squares, p = np.linalg.eigh(w.T @ w)
     sigma = np.sqrt(squares)
     noise = np.sqrt(v) * rng.standard_normal((draws, m, 3))
@@ -159,7 +154,7 @@ def test_second_order_is_that_of_many_draws():
 def test_degenerate_frames_tell_less_and_never_nonsense(uv, model, full, noise):
     pinhole = np.array([0.0, 0.0, 25.6, 0.0, 0.0, 0.0, 0.0])
     rng = np.random.default_rng(3)
-    u_i = camera.unproject(uv, pinhole, PITCH) @ rotation.exp(rng.normal(size=3))
+    u_i = camera.unproject(uv, pinhole, PITCH_MM) @ rotation.exp(rng.normal(size=3))
     frame = invariants.linearize(
         Stars(u_i, uv + noise * SIGMA * rng.standard_normal(uv.shape), np.full(6, SIGMA)),
         pinhole, LENS)
@@ -174,7 +169,8 @@ def test_degenerate_frames_tell_less_and_never_nonsense(uv, model, full, noise):
 
 def test_two_stars_tell_nothing():
     rng = np.random.default_rng(4)
-    frame = invariants.linearize(frame_of(rng.uniform(-500.0, 500.0, (2, 2)), rng), T18, LENS)
+    stars = frame_of(rng.uniform(-500.0, 500.0, (2, 2)), rng)
+    frame = invariants.linearize(stars, INTRINSICS, LENS)
     matrix, vector = singular_value.measure(frame, 4, (2, 3), True)
     assert not matrix.any() and not vector.any()
 
@@ -183,10 +179,10 @@ def test_leading_axes_are_batches(stars):
     uv = stars.uv + SIGMA * np.random.default_rng(5).standard_normal((3, 9, 2))
     for full in (True, False):
         batch = singular_value.measure(
-            invariants.linearize(stars._replace(uv=uv), T18, LENS), 4, (2, 3), full)
+            invariants.linearize(stars._replace(uv=uv), INTRINSICS, LENS), 4, (2, 3), full)
         for run in range(3):
-            alone = singular_value.measure(
-                invariants.linearize(stars._replace(uv=uv[run]), T18, LENS), 4, (2, 3), full)
+            frame = invariants.linearize(stars._replace(uv=uv[run]), INTRINSICS, LENS)
+            alone = singular_value.measure(frame, 4, (2, 3), full)
             for part, expected in zip(batch, alone):
                 np.testing.assert_allclose(part[run], expected, rtol=1e-6,
                                            atol=1e-8 * np.abs(expected).max())

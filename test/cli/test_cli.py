@@ -4,7 +4,6 @@
 
 import hashlib
 import json
-from pathlib import Path
 import re
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from instruments import CONFIG, TAN2018, TOP
 import starcal_ros
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
@@ -22,9 +22,6 @@ from starcal_ros.results import initial
 from starcal_ros.results.store import CalibrationStore
 from starcal_ros.simulation import sensors
 
-TOP = Path(__file__).resolve().parents[2]
-CONFIG = TOP / 'config' / 'tan2018.yaml'
-SCENARIO = parameter_file.load(CONFIG)
 TOPICS = {'/imu/data_raw': ('sensor_msgs/msg/Imu', 2000),
           '/star_tracker/centroids': ('sensor_msgs/msg/PointCloud2', 40),
           '/star_tracker/camera_info': ('sensor_msgs/msg/CameraInfo', 1),
@@ -186,7 +183,7 @@ def test_path_that_is_no_recording_is_named_with_the_reason(starcal, tmp_path, c
 
 
 def test_recording_without_a_sensor_topic_is_named_with_the_topics_it_has(starcal, tmp_path):
-    gyro = sensors.gyro(SCENARIO).next(100)
+    gyro = sensors.gyro(TAN2018).next(100)
     with Writer(tmp_path / 'gyro.mcap') as writer:
         writer.write_batches(imu_batch('/imu/data_raw', gyro))
     done = starcal('calibrate', tmp_path / 'gyro.mcap', '--out', tmp_path / 'result.json')
@@ -278,7 +275,7 @@ def test_seed_makes_the_noise_and_nothing_else_does(starcal, tmp_path):
 def test_simulated_recording_carries_the_scenario_that_was_run(bag):
     attached = reader.read(bag).attachments['config.yaml'].decode()
     carried = parameter_file.parse(attached, 'bag')
-    assert carried == SCENARIO.replace({'simulation.duration_s': 20.0})
+    assert carried == TAN2018.replace({'simulation.duration_s': 20.0})
 
 
 def test_calibrate_writes_the_result_and_says_where_it_came_from(starcal, bag, tmp_path):
@@ -290,7 +287,7 @@ def test_calibrate_writes_the_result_and_says_where_it_came_from(starcal, bag, t
     provenance = outcome['provenance']
     assert provenance['version'] == starcal_ros.__version__
     assert provenance['bag_sha256'] == hashlib.sha256(bag.read_bytes()).hexdigest()
-    assert provenance['config_sha256'] == SCENARIO.sha256
+    assert provenance['config_sha256'] == TAN2018.sha256
     # to be read by a person: what was estimated
     for name in ('u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2'):
         assert re.search(rf'\b{name}\b', done.out)
@@ -300,8 +297,8 @@ def test_calibrate_writes_the_result_and_says_where_it_came_from(starcal, bag, t
 
 def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path):
     """The second run starts where the first ended, as the node would."""
-    scenario = SCENARIO.replace({'estimator.calibration_directory': str(tmp_path / 'saved'),
-                                 'estimator.load_calibration': True})
+    scenario = TAN2018.replace({'estimator.calibration_directory': str(tmp_path / 'saved'),
+                                'estimator.load_calibration': True})
     config = tmp_path / 'config.yaml'
     config.write_text(parameter_file.dump(scenario))
     words = ['calibrate', bag, '--config', config, '--out', tmp_path / 'result.json']
@@ -345,7 +342,7 @@ def test_calibrate_draws_its_figure(starcal, bag, tmp_path):
 
 
 def test_gap_in_a_recording_is_a_warning_and_not_the_end(starcal, tmp_path):
-    gyro, frames = sensors.gyro(SCENARIO).next(1000), sensors.star_tracker(SCENARIO).next(20)
+    gyro, frames = sensors.gyro(TAN2018).next(1000), sensors.star_tracker(TAN2018).next(20)
     with Writer(tmp_path / 'gap.mcap') as writer:
         for part in (gyro[:400], gyro[600:]):
             writer.write_batches(imu_batch('/imu/data_raw', part))

@@ -3,14 +3,13 @@
 """``starcal intrinsics`` on recordings: with gyro and without, its result and its errors."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from instruments import TAN2018
 from starcal_ros.calibration.methods import predicted_centroid
 from starcal_ros.cli import main
-from starcal_ros.config import parameter_file
 from starcal_ros.config.models import nominal_camera
 from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
@@ -22,8 +21,7 @@ from starcal_ros.recording.writer import Writer, centroids_batch
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
-CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
-SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 150.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 150.0})
 TRUE = Truth.from_scenario(SCENARIO).intrinsics
 
 

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameter files: what the shipped one holds, the round trip, and each refusal."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
 
+from instruments import EXTERNAL
 from starcal_ros.config import models, parameter_file
 from starcal_ros.config.instrument import CameraConfig, MotionConfig, MountingConfig
 from starcal_ros.config.parameter import ConfigError
@@ -17,7 +16,6 @@ from starcal_ros.config.truth import TrueCameraConfig
 from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC
 
-EXTERNAL = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'external_tan2018'
 HEAD = '/**:\n  ros__parameters:\n'
 
 

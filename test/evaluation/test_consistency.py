@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter says the truth about its own error, and stands at the Cramér-Rao bound."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018
 from starcal_ros.core import camera, rotation
 from starcal_ros.evaluation import bounds, consistency, montecarlo
 from starcal_ros.evaluation.batch import run_batch
@@ -23,8 +21,7 @@ from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
 # Once through the rotations, after which the initial sigmas count for nothing.
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 550.0, 'simulation.seed': 1001})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 550.0, 'simulation.seed': 1001})
 RUNS = 40
 PROBABILITY = 0.999
 

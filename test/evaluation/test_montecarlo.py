@@ -4,11 +4,11 @@
 
 from dataclasses import fields
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from instruments import CONFIG, TAN2018
 from starcal_ros import cli
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
@@ -17,8 +17,7 @@ from starcal_ros.evaluation.batch import Runs, run_batch
 from starcal_ros.evaluation.montecarlo import BATCH, MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
 
-CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
-SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 20.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 20.0})
 STUDY = MonteCarlo.of(SCENARIO, BATCH + 3, 'star_tracker.centroid_sigma_px=0.05,0.1')
 
 

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The attitude from one frame: accuracy, wrong star numbers, too few stars."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file
+from instruments import PITCH_MM, TAN2018
 from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
@@ -23,15 +21,14 @@ from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
 
 # Truth against nominal: 374 arcsec of mounting, 11 px, 0.1 mm, and the distortion of T18 Table 1.
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml')
-FILTER = Filter(SCENARIO)
+FILTER = Filter(TAN2018)
 PLACES = range(12)
 
 
 class Look:
     """One frame somewhere in the sky, and the truth behind it."""
 
-    def __init__(self, seed, scenario=SCENARIO):
+    def __init__(self, seed, scenario=TAN2018):
         q_ig = np.random.default_rng([7, seed]).normal(size=4)
         scenario = scenario.replace({
             'simulation.seed': seed, 'simulation.duration_s': 1.0,
@@ -46,7 +43,7 @@ class Look:
         """Return the frame's centroids under these star numbers."""
         stars = catalog.load_containing(numbers)
         u_i = apparent_places(stars, stars.rows(numbers), self.frames.stamp_ns,
-                              [len(numbers)], observer(SCENARIO.observer))
+                              [len(numbers)], observer(TAN2018.observer))
         return Stars(u_i, self.frames.uv_raster - FILTER.detector.centre_raster,
                      self.frames.sigma.copy())
 
@@ -94,7 +91,7 @@ def test_frame_fits_where_it_was_linearised(place):
 
 @pytest.mark.parametrize('place', PLACES)
 def test_known_camera_gives_the_attitude_to_the_noise_of_the_centroids(place):
-    scenario = SCENARIO.replace({
+    scenario = TAN2018.replace({
         'truth.camera.focal_length_mm': 25.5, 'truth.camera.principal_point_px': (0.0, 0.0),
         'truth.camera.distortion': (0.0, 0.0, 0.0, 0.0),
         **{f'estimator.initial_sigma.{name}': 1e-12 for name in (
@@ -103,7 +100,7 @@ def test_known_camera_gives_the_attitude_to_the_noise_of_the_centroids(place):
     belief = filter_.update(*acquire(filter_, None, look.stars)).belief
     theta = belief.nominal.minus(look.truth)[THETA]
     # Across, a pixel is 52 arcsec: sigma d / f / sqrt(n), for rotations about x and y alone.
-    across = 0.05 * 0.00645 / 25.5 / np.sqrt(len(look.stars.sigma))
+    across = 0.05 * PITCH_MM / 25.5 / np.sqrt(len(look.stars.sigma))
     np.testing.assert_allclose(belief.tracker_sigma[:2], across, rtol=0.3)  # less well with z
     assert (np.abs(theta) < 4.0 * belief.tracker_sigma).all()
 

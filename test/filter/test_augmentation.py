@@ -3,14 +3,13 @@
 """Gyro matrix and time offset: derivatives, signs, and the bias that each removes."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file
+from instruments import INTRINSICS, TAN2018
 from starcal_ros.core import kalman, rotation
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import augmentation
@@ -28,12 +27,11 @@ from starcal_ros.messages import conventions
 from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml')
 MATRIX_ON = {'estimator.augment.gyro_matrix_sigma_ppm': 1000.0}
 OFFSET_ON = {'estimator.augment.time_offset_sigma_s': 0.02}
 BOTH_ON = {**MATRIX_ON, **OFFSET_ON}
-FILTER = Filter(SCENARIO.replace(BOTH_ON))
-QUIET = Filter(SCENARIO.replace({**BOTH_ON, 'gyro.arw_deg_sqrt_h': 0.0}))
+FILTER = Filter(TAN2018.replace(BOTH_ON))
+QUIET = Filter(TAN2018.replace({**BOTH_ON, 'gyro.arw_deg_sqrt_h': 0.0}))
 PERIOD_NS = 10**7
 NAMES = (*STATE_NAMES, *FILTER.augmentation.names)
 MATRIX, AUGMENTED = slice(16, 25), slice(16, None)      # where they stand with both on
@@ -45,13 +43,12 @@ STEP = np.array([*(1e-6,) * 3, *(1e-7,) * 3, *(1e-6,) * 3, 1.0, 1.0, 1e-3, 1e-4,
 def some_values(seed=1, ppm=5000.0, batch=()):
     """Return values with nothing zero, M of thousands of ppm and tau of some 10 ms."""
     rng = np.random.default_rng(seed)
-    lens = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
     augmented = np.concatenate((1e-6 * ppm * rng.normal(size=(*batch, 9)),
                                 0.01 * rng.normal(size=(*batch, 1))), axis=-1)
     return Nominal(rotation.exp(rng.normal(size=(*batch, 3))),
                    1e-7 * rng.normal(size=(*batch, 3)),
                    rotation.exp(rng.normal(size=(*batch, 3))),
-                   lens * rng.uniform(0.95, 1.05, (*batch, 7)), augmented,
+                   INTRINSICS * rng.uniform(0.95, 1.05, (*batch, 7)), augmented,
                    0.01 * rng.normal(size=(*batch, 3)), FILTER.augmentation)
 
 
@@ -89,7 +86,7 @@ def places(nominal, n=12):
 @pytest.mark.parametrize('options, m', [({}, 0), (OFFSET_ON, 1), (MATRIX_ON, 9), (BOTH_ON, 10)],
                          ids=['none', 'offset', 'matrix', 'both'])
 def test_states_are_appended_where_their_sigma_is_given(options, m):
-    filter_ = Filter(SCENARIO.replace(options))
+    filter_ = Filter(TAN2018.replace(options))
     belief = filter_.begin(np.eye(3))
     assert belief.root.shape == (16 + m, 16 + m)
     assert belief.nominal.augmented.tolist() == [0.0] * m
@@ -346,7 +343,7 @@ def test_belief_of_the_16_alone_goes_through_the_same_filter():
                     kalman.marginal(some_root(), 16))
     turn, u_i = interval(turning(), with_matrix=False), places(nominal)
     frame = Stars(u_i, FILTER.predict_centroids(belief.nominal, u_i)[0], np.full(12, 0.05))
-    plain = Filter(SCENARIO)
+    plain = Filter(TAN2018)
     for step in (lambda filter_: filter_.propagate(belief, turn),
                  lambda filter_: filter_.update(belief, frame).belief):
         np.testing.assert_array_equal(step(FILTER).root, step(plain).root)
@@ -359,8 +356,8 @@ class Run:
     """A simulation with M and tau, and what a filter of some options makes of it."""
 
     def __init__(self, options, seconds, ppm=0.0, tau=0.0, seed=1, draw=False):
-        scenario = SCENARIO.replace({'simulation.duration_s': seconds, 'simulation.seed': seed,
-                                     **options})
+        scenario = TAN2018.replace({'simulation.duration_s': seconds, 'simulation.seed': seed,
+                                    **options})
         rng = np.random.default_rng([3106, seed])
         self.calibrator = Calibrator(scenario)
         filter_, gyro, tracker = self.calibrator.filter, *(
@@ -466,7 +463,7 @@ def test_attitude_between_frames_is_integrated_with_the_matrix(scaled):
 
 def test_covariance_between_frames_is_that_of_the_filter():
     """What M adds is a tenth of the turn, 0.25 deg, and more: first order in that turn."""
-    scenario = SCENARIO.replace({**BOTH_ON, 'simulation.duration_s': 41.0})
+    scenario = TAN2018.replace({**BOTH_ON, 'simulation.duration_s': 41.0})
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
     calibrator = Calibrator(scenario)
     samples = gyro.next(gyro.count)
@@ -515,9 +512,9 @@ def test_result_says_nothing_of_states_that_are_off():
 
 def test_verdict_judges_the_16_states_of_an_augmented_filter():
     """Diagnostics and command ask for it in every run."""
-    scenario = SCENARIO.replace({'estimator.augment.gyro_matrix_sigma_ppm': 100.0,
-                                 'estimator.augment.time_offset_sigma_s': 0.01,
-                                 'simulation.duration_s': 5.0})
+    scenario = TAN2018.replace({'estimator.augment.gyro_matrix_sigma_ppm': 100.0,
+                                'estimator.augment.time_offset_sigma_s': 0.01,
+                                'simulation.duration_s': 5.0})
     calibrator = Calibrator(scenario)
     calibrator.add_gyro(sensors.gyro(scenario).next(10**6))
     calibrator.add_frames(sensors.star_tracker(scenario).next(10**6))

@@ -3,13 +3,12 @@
 """Messages in any order, broken in any way: the same estimates, or counted and said."""
 
 from dataclasses import asdict, replace
-from pathlib import Path
 import time
 
 import numpy as np
 import pytest
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018
 from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
@@ -23,8 +22,7 @@ from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
 
 # 30 s at rest, then 60 s of slew.
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 90.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 90.0})
 START_NS = Truth.from_scenario(SCENARIO).motion.start_ns
 SECOND_NS = 10**9
 

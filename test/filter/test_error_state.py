@@ -3,13 +3,12 @@
 """The 16-state filter: signs, derivatives, identities, consistency."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file
+from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros.config.scenario import from_flat
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
@@ -23,12 +22,10 @@ from starcal_ros.measurements.samples import GyroSamples, Stars
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml')
-FILTER = Filter(SCENARIO)
-OPEN_LOOP = Filter(SCENARIO.replace({'estimator.feedback': False}))
-QUIET = Filter(SCENARIO.replace({'gyro.arw_deg_sqrt_h': 0.0}))
+FILTER = Filter(TAN2018)
+OPEN_LOOP = Filter(TAN2018.replace({'estimator.feedback': False}))
+QUIET = Filter(TAN2018.replace({'gyro.arw_deg_sqrt_h': 0.0}))
 PERIOD_NS = 10**7
-T18 = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])      # T18 Table 1
 # What the finite differences step by; THETA and PSI small against their own curvature.
 STEP = np.array([*(1e-6,) * 3, *(1e-7,) * 3, *(1e-6,) * 3, 1.0, 1.0, 1e-3, 1e-4, 1e-6, 1e-4, 1e-4])
 
@@ -39,7 +36,7 @@ def some_values(seed=1, batch=()):
     return Nominal(rotation.exp(rng.normal(size=(*batch, 3))),
                    1e-7 * rng.normal(size=(*batch, 3)),
                    rotation.exp(rng.normal(size=(*batch, 3))),
-                   T18 * rng.uniform(0.95, 1.05, (*batch, 7)))
+                   INTRINSICS * rng.uniform(0.95, 1.05, (*batch, 7)))
 
 
 def some_root(seed=2, batch=()):
@@ -101,8 +98,8 @@ def test_states_are_those_of_T18_equation_21_each_with_a_unit_and_a_scale():
 
 
 def test_filter_starts_from_the_nominal_values_and_initial_sigmas_of_the_scenario():
-    scenario = SCENARIO.replace({'gyro.bias_deg_h': (1.0, 2.0, 3.0),
-                                 'estimator.initial_sigma.focal_length_mm': 0.3})
+    scenario = TAN2018.replace({'gyro.bias_deg_h': (1.0, 2.0, 3.0),
+                                'estimator.initial_sigma.focal_length_mm': 0.3})
     belief = Filter(scenario).begin(np.eye(3))
     np.testing.assert_allclose(belief.nominal.bias, np.array([1.0, 2.0, 3.0]) * DEG_PER_HOUR)
     np.testing.assert_array_equal(belief.nominal.intrinsics, [0, 0, 25.5, 0, 0, 0, 0])
@@ -188,7 +185,7 @@ def test_measurement_matrix_agrees_with_central_differences(state):
     axis = np.eye(16)[state]
     u_i = directions(nominal)
     _, H, ahead = FILTER.predict_centroids(nominal, u_i)
-    more, less = (camera.project(u_i @ values.C_si.T, values.intrinsics, 0.00645)
+    more, less = (camera.project(u_i @ values.C_si.T, values.intrinsics, PITCH_MM)
                   for values in (nominal.without(-h * axis), nominal.without(h * axis)))
     assert ahead.all()
     # Rounding of C_si (2e-16 of f/d = 4e3 px, a few times) over 2 h; the cubic term of theta is
@@ -495,7 +492,7 @@ class Run:
         sigma[THETA] = 0.0                      # the attitude is found from the stars
         drawn = FILTER.start.without(sigma * rng.normal(size=16))
         q_ig = rng.normal(size=4)
-        values = SCENARIO.flat()
+        values = TAN2018.flat()
         del values['truth.mounting.fixed_angles_deg']
         scenario = from_flat({
             **values, 'simulation.seed': seed, 'simulation.duration_s': duration_s,

@@ -3,12 +3,12 @@
 """End to end: simulate, record, calibrate; T18's scenario, a recording of others, aberration."""
 
 import json
-from pathlib import Path
 
 import erfa
 import numpy as np
 import pytest
 
+from instruments import EXTERNAL, TAN2018
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import stamp_ns
 from starcal_ros.core import rotation
@@ -24,11 +24,8 @@ from starcal_ros.simulation.truth import Truth
 from starcal_ros.simulation.write_recording import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT, simulate
 from starcal_ros.sky.apparent import tt_julian_date
 
-TOP = Path(__file__).resolve().parents[2]
-EXTERNAL = TOP.parent / 'shared' / 'data' / 'external_tan2018'
-FULL = parameter_file.load(TOP / 'config' / 'tan2018.yaml')
-SHORT = FULL.replace({'simulation.duration_s': 1092.0})         # twice through T18 Table 2
-WALK = FULL.gyro.arw_deg_sqrt_h * DEG / 60.0                    # rad/sqrt(s)
+SHORT = TAN2018.replace({'simulation.duration_s': 1092.0})      # twice through T18 Table 2
+WALK = TAN2018.gyro.arw_deg_sqrt_h * DEG / 60.0                 # rad/sqrt(s)
 # DESIGN Sec. 7: the bound for 2 h and 24.6 stars a frame, in the units of RESULT.json.
 BOUND = {'epsilon_x': 7.1e-4, 'epsilon_y': 7.1e-4, 'epsilon_z': 7.1e-4,
          'psi_x': 1.8, 'psi_y': 1.9, 'psi_z': 0.14, 'u0': 0.036, 'v0': 0.035, 'f': 2.6e-5,
@@ -173,11 +170,11 @@ class FullRun:
     """Two hours of T18, one row a frame."""
 
     def __init__(self):
-        gyro, tracker = sensors.gyro(FULL), sensors.star_tracker(FULL)
+        gyro, tracker = sensors.gyro(TAN2018), sensors.star_tracker(TAN2018)
         frames = tracker.next(tracker.count)
         self.stars_per_frame = frames.star_counts.mean()
-        self.truth = Truth.from_scenario(FULL)
-        self.calibrator = Calibrator(FULL)
+        self.truth = Truth.from_scenario(TAN2018)
+        self.calibrator = Calibrator(TAN2018)
         self.calibrator.add_gyro(gyro.next(gyro.count))
         self.calibrator.add_frames(frames)
         C_gi = np.array([frame.belief.estimate.C_gi for frame in self.calibrator.process()])

@@ -3,13 +3,12 @@
 """States that walk at random: the covariance added, and what leaving it out costs."""
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file
+from instruments import INTRINSICS, TAN2018
 from starcal_ros.config.estimator import ProcessNoiseConfig
 from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
@@ -22,7 +21,6 @@ from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml')
 GROUP = 'estimator.process_noise.'
 PERIOD_NS = 10**7
 SQRT_HOUR = 60.0                                # sqrt(s)
@@ -36,14 +34,14 @@ KINDS = [('gyro_bias_deg_h_sqrt_h', range(3, 6), DEG_PER_HOUR),
 
 def filter_of(**noise):
     """Return a filter of quiet gyros whose states walk."""
-    return Filter(SCENARIO.replace({'gyro.arw_deg_sqrt_h': 0.0,
-                                    **{GROUP + name: value for name, value in noise.items()}}))
+    return Filter(TAN2018.replace({'gyro.arw_deg_sqrt_h': 0.0,
+                                   **{GROUP + name: value for name, value in noise.items()}}))
 
 
 def some_values():
     rng = np.random.default_rng(1)
     return Nominal(rotation.exp(rng.normal(size=3)), np.zeros(3), rotation.exp(rng.normal(size=3)),
-                   np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5]))
+                   INTRINSICS)
 
 
 def turning(rate, seconds, parts=1):
@@ -75,7 +73,7 @@ def assert_close(actual, expected, part):
 
 
 def test_nothing_walks_by_default():
-    assert all(getattr(SCENARIO.estimator.process_noise, item.name) == 0.0
+    assert all(getattr(TAN2018.estimator.process_noise, item.name) == 0.0
                for item in fields(ProcessNoiseConfig))
     assert not added(filter_of(), turning([0.1, 0.0, 0.0], 0.5)).any()
 
@@ -147,8 +145,8 @@ class Walking:
     """A run of which one kind of state walks, from a truth drawn from the initial sigmas."""
 
     def __init__(self, name, density, seconds, seed, modelled=True):
-        scenario = SCENARIO.replace({'simulation.duration_s': seconds, 'simulation.seed': seed,
-                                     **({GROUP + name: density} if modelled else {})})
+        scenario = TAN2018.replace({'simulation.duration_s': seconds, 'simulation.seed': seed,
+                                    **({GROUP + name: density} if modelled else {})})
         rng = np.random.default_rng([20180314, seed])
         self.calibrator = Calibrator(scenario)
         sigma = self.calibrator.filter.initial_sigma.copy()

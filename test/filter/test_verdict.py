@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict: sigmas against tolerances, couplings, and the motion that is missing."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from starcal_ros.config import parameter_file
+from instruments import PITCH_MM, TAN2018
 from starcal_ros.core import rotation
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import verdict
@@ -21,9 +20,8 @@ from starcal_ros.filter.states import (CALIBRATED, N_STATES, PHI, PSI, SCALE, ST
 from starcal_ros.results.result import converged
 from starcal_ros.simulation import sensors
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml')
-FILTER = Filter(SCENARIO)
-PIXELS_A_RADIAN = 25.5 / 0.00645            # f / d of the nominal camera
+FILTER = Filter(TAN2018)
+PIXELS_A_RADIAN = 25.5 / PITCH_MM             # f / d of the nominal camera
 REST_S = 30.0                               # the rest with which tan2018.yaml begins [s]
 AT_REST = 29.5                              # its last frame [s]
 INDEX = {name: k for k, name in enumerate(STATE_NAMES)}
@@ -58,7 +56,7 @@ def test_states_are_the_13_calibrated_ones_in_their_units():
     by_name = {state.name: state for state in judged.states}
     assert by_name['psi_x'].sigma == pytest.approx(7.0)
     assert by_name['psi_x'].tolerance == pytest.approx(
-        SCENARIO.estimator.tolerance.fixed_angles_arcsec)
+        TAN2018.estimator.tolerance.fixed_angles_arcsec)
     assert not by_name['psi_x'].within and by_name['f'].within
     assert judged.outside == ('psi_x',) and not judged.converged
 
@@ -149,8 +147,8 @@ def test_attitude_is_counted_in_star_tracker_axes():
 @pytest.fixture(scope='module')
 def run():
     """Return the verdicts of the two hours by their time, and the final calibrator."""
-    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
-    calibrator = Calibrator(SCENARIO)
+    gyro, tracker = sensors.gyro(TAN2018), sensors.star_tracker(TAN2018)
+    calibrator = Calibrator(TAN2018)
     calibrator.add_gyro(gyro.next(gyro.count))
     calibrator.add_frames(tracker.next(tracker.count))
     start_ns, verdicts = None, {}
@@ -211,7 +209,7 @@ def ahead():
     sigma = []
     for axes, angles in ((('x',), (0.0,)), (('x',), (30.0,)), (('y',), (30.0,)),
                          (('z',), (30.0,))):
-        scenario = SCENARIO.replace({
+        scenario = TAN2018.replace({
             'motion.axes': axes, 'motion.angles_deg': angles,
             'motion.dwell_s': REST_S if angles[0] else 200.0,
             'simulation.duration_s': REST_S + 61.0})

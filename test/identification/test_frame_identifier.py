@@ -3,22 +3,20 @@
 """A live stream of unidentified frames gets its catalogue numbers, whatever comes with it."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip('tetra3rs')
 
-from starcal_ros.config import parameter_file  # noqa: E402
+from instruments import TAN2018  # noqa: E402
 from starcal_ros.identification import frame_identifier  # noqa: E402
 from starcal_ros.identification.frame_identifier import FrameIdentifier  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
 # It turns from the second second on.
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 40.0, 'motion.dwell_s': 2.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 40.0, 'motion.dwell_s': 2.0})
 FRAMES, PERIOD_NS = 80, 500_000_000
 
 

@@ -3,12 +3,12 @@
 """Star identification: simulated frames with false and missing stars, real ones, bad ones."""
 
 import csv
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from instruments import DETECTOR, INTRINSICS, PITCH_MM, REAL_SKY
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.core import rotation
 from starcal_ros.core.camera import Detector
@@ -23,26 +23,23 @@ from starcal_ros.sky import catalog
 
 pytest.importorskip('tetra3rs')
 
-DETECTOR = Detector(1024, 1024, 0.00645)
-TRUE = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])       # T18: 3 px at the corner
 STAMP_NS = 1_782_993_600_000_000_000
 ARCSEC = np.pi / 180.0 / 3600.0
-SKIES = Path(__file__).parents[3] / 'shared' / 'data' / 'real_sky'
 
 
 def guess(error: float = 0.01) -> CameraGuess:
     """Return T18's camera, its focal length wrong by a part, the rest unknown."""
-    return CameraGuess.of_focal_length(DETECTOR, TRUE[2] * (1.0 + error), 1.2 * abs(error))
+    return CameraGuess.of_focal_length(DETECTOR, INTRINSICS[2] * (1.0 + error), 1.2 * abs(error))
 
 
 def known() -> CameraGuess:
     """Return T18's true camera."""
-    return CameraGuess(DETECTOR, TRUE, np.zeros((7, 7)))
+    return CameraGuess(DETECTOR, INTRINSICS, np.zeros((7, 7)))
 
 
 def viewer(seed: int, **changes) -> Viewer:
     """Return T18's true camera under the sky."""
-    return Viewer(DETECTOR, TRUE, np.random.default_rng(seed), **changes)
+    return Viewer(DETECTOR, INTRINSICS, np.random.default_rng(seed), **changes)
 
 
 def path(eye: Viewer, turn, count: int):
@@ -236,7 +233,7 @@ def test_a_field_is_a_range_of_focal_lengths():
 
 def test_an_error_of_the_focal_length_is_two_sigma():
     near, far = CameraGuess.of_focal_length(DETECTOR, 25.0, 0.1).focal_range_px
-    assert [near, far] == pytest.approx([22.5 / 0.00645, 27.5 / 0.00645])
+    assert [near, far] == pytest.approx([22.5 / PITCH_MM, 27.5 / PITCH_MM])
 
 
 def test_a_camera_of_unknown_field_is_identified():
@@ -244,7 +241,7 @@ def test_a_camera_of_unknown_field_is_identified():
     sight = viewer(13).anywhere(STAMP_NS)
     found = Identifier(CameraGuess.of_field(detector, 12.0, 17.0)).lost_in_space(
         sight.uv_raster, sight.flux)
-    assert found.view.intrinsics[2] == pytest.approx(25.6 / 0.00645, rel=2e-3)
+    assert found.view.intrinsics[2] == pytest.approx(25.6 / PITCH_MM, rel=2e-3)
 
 
 @pytest.mark.parametrize('make, text', [
@@ -263,9 +260,9 @@ def test_an_impossible_camera_is_refused(make, text):
 
 def test_real_stars_are_those_that_others_found():
     """11 images of tomc16, saturated stars left out: the brightest are not among the spots."""
-    if not SKIES.is_dir():
-        pytest.skip(f'{SKIES} is not there')
-    with (SKIES / 'tomc16' / 'stars.csv').open() as stream:
+    if not REAL_SKY.is_dir():
+        pytest.skip(f'{REAL_SKY} is not there')
+    with (REAL_SKY / 'tomc16' / 'stars.csv').open() as stream:
         rows = [SimpleNamespace(**row) for row in csv.DictReader(stream)]
     identifier = Identifier(CameraGuess.of_field(Detector(808, 608, 1.0), 13.0, 15.5))
     named = 0
@@ -284,12 +281,12 @@ def test_real_stars_are_those_that_others_found():
 
 def test_real_images_are_identified():
     """Orion over the lit horizon, the Milky Way, refraction of 2 px: nine images of granasat."""
-    if not SKIES.is_dir():
-        pytest.skip(f'{SKIES} is not there')
-    with (SKIES / 'granasat' / 'stars.csv').open() as stream:
+    if not REAL_SKY.is_dir():
+        pytest.skip(f'{REAL_SKY} is not there')
+    with (REAL_SKY / 'granasat' / 'stars.csv').open() as stream:
         rows = [SimpleNamespace(**row) for row in csv.DictReader(stream)]
     identifier = Identifier(CameraGuess.of_field(Detector(1280, 960, 1.0), 25.5, 29.0))
-    for path in image_files(SKIES / 'granasat'):
+    for path in image_files(REAL_SKY / 'granasat'):
         picture = load(path)
         stars = extract(picture.counts, CentroidConfig(saturation_counts=picture.saturation))
         found = identifier.lost_in_space(stars.uv_raster, stars.flux, sigma=stars.sigma)

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from instruments import DETECTOR, INTRINSICS
 from starcal_ros.core import rotation
-from starcal_ros.core.camera import Detector
 from starcal_ros.identification.matching import (GATE, Expected, View, chance, expected, fitted,
                                                  match)
 
-DETECTOR = Detector(1024, 1024, 0.00645)
-INTRINSICS = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
 SIGMA = np.array([3.0, 3.0, 0.1, 1e-5, 1e-7, 1e-6, 1e-6])
 
 

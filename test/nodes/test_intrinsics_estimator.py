@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `intrinsics_estimator` gives live what ``starcal intrinsics`` gives of a recording."""
 
-from pathlib import Path
 import signal
 
 import numpy as np
@@ -13,6 +12,7 @@ rclpy = pytest.importorskip('rclpy')
 from sensor_msgs.msg import CameraInfo, PointCloud2  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
 
+from instruments import TAN2018  # noqa: E402
 from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
 from starcal_ros import calibration  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
@@ -21,8 +21,8 @@ from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages.conventions import from_camera_info  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 100.0, 'intrinsics.method': 'angular_distance'})
+SCENARIO = TAN2018.replace({
+    'simulation.duration_s': 100.0, 'intrinsics.method': 'angular_distance'})
 
 
 @pytest.fixture

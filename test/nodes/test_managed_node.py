@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimator and recorder as managed nodes, both in one process, led from outside."""
 
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -19,8 +18,8 @@ from rclpy.qos import LivelinessPolicy, QoSProfile  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
 import yaml  # noqa: E402
 
+from instruments import CONFIG, TAN2018  # noqa: E402
 from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
-from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions  # noqa: E402
@@ -28,8 +27,7 @@ from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
-CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
-SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 30.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 30.0})
 GYRO_QOS = QoSProfile(depth=5000, deadline=Duration(seconds=2), lifespan=Duration(seconds=3600),
                       liveliness=LivelinessPolicy.AUTOMATIC,
                       liveliness_lease_duration=Duration(seconds=20))

@@ -4,7 +4,6 @@
 
 import json
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 import yaml  # noqa: E402
 
+from instruments import PITCH_MM, TAN2018, TOP  # noqa: E402
 from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.cli import processes  # noqa: E402
 from starcal_ros.config import parameter_file, scenario  # noqa: E402
@@ -38,8 +38,8 @@ from starcal_ros.simulation import sensors  # noqa: E402
 from starcal_ros.simulation.truth import Truth  # noqa: E402
 
 DURATION_S = 60.0
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': DURATION_S, 'simulation.real_time_factor': 0.0})
+SCENARIO = TAN2018.replace({
+    'simulation.duration_s': DURATION_S, 'simulation.real_time_factor': 0.0})
 
 
 @pytest.fixture(scope='module')
@@ -290,7 +290,7 @@ def test_example_waits_for_a_calibration_that_may_be_trusted(start, parameters, 
         for word in ('-p', f'estimator.tolerance.{name}:={value}')]
     start('estimator', *parameters, *loose)
     example = subprocess.Popen(
-        [sys.executable, Path(__file__).parents[2] / 'examples' / 'trusted_camera.py'],
+        [sys.executable, TOP / 'examples' / 'trusted_camera.py'],
         stdout=subprocess.PIPE, text=True)
     try:
         peer.meet()
@@ -302,7 +302,7 @@ def test_example_waits_for_a_calibration_that_may_be_trusted(start, parameters, 
     assert example.returncode == 0 and lines[-4] == 'converged'
     fx, fy = (float(word) for word in lines[-3].split()[-2:])
     # 25.6 mm in truth, to within the tolerance
-    assert fx == fy == pytest.approx(25.6 / 0.00645, abs=0.15 / 0.00645)
+    assert fx == fy == pytest.approx(25.6 / PITCH_MM, abs=0.15 / PITCH_MM)
 
 
 @pytest.mark.parametrize('words, culprit', [

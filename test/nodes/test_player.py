@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time over ROS 2: the player's /clock, pauses, offsets and loops, and who lives by them."""
 
-from pathlib import Path
 import signal
 
 import pytest
@@ -15,6 +14,7 @@ from sensor_msgs.msg import Imu  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from instruments import TAN2018  # noqa: E402
 from peer import LATCHED, PATIENCE_S  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
@@ -22,8 +22,7 @@ from starcal_ros.simulation.truth import Truth  # noqa: E402
 from starcal_ros.simulation.write_recording import simulate  # noqa: E402
 
 # A gyro so slow that this process can keep up, message by message, at twenty times its speed.
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 40.0, 'gyro.rate_hz': 10.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 40.0, 'gyro.rate_hz': 10.0})
 START_NS = Truth.from_scenario(SCENARIO).motion.start_ns
 
 

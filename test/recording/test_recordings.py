@@ -3,7 +3,6 @@
 """Recordings written, read by others, read back, and broken in every way."""
 
 import hashlib
-from pathlib import Path
 import shutil
 
 from mcap.reader import make_reader
@@ -14,6 +13,7 @@ import pytest
 from rosbags import rosbag2
 import yaml
 
+from instruments import EXTERNAL
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
@@ -22,7 +22,6 @@ from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, RecordError, 
 from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
                                           typestore)
 
-EXTERNAL = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'external_tan2018'
 START_NS = 1_782_993_600_000_000_000
 
 

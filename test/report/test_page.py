@@ -4,7 +4,6 @@
 
 from html.parser import HTMLParser
 import json
-from pathlib import Path
 import re
 import shutil
 import subprocess
@@ -14,6 +13,7 @@ from plotly.offline import get_plotlyjs
 import pytest
 from scipy.stats import norm
 
+from instruments import DETECTOR, INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros import report
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
@@ -26,9 +26,7 @@ from starcal_ros.recording import reader
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.simulation import sensors
 
-TOP = Path(__file__).resolve().parents[2]
-SCENARIO = parameter_file.load(TOP / 'config' / 'tan2018.yaml')
-SHORT = SCENARIO.replace({'simulation.duration_s': 150.0})
+SHORT = TAN2018.replace({'simulation.duration_s': 150.0})
 SECTIONS = ['verdict', 'states', 'convergence', 'residuals', 'consistency', 'distortion',
             'coupling', 'counts', 'provenance']
 CHARTS = 13 + 3 + 1 + 4 + 3     # states; map and histograms; NIS; distortion; coupling
@@ -235,7 +233,7 @@ def test_equivalent_principal_point_is_drawn_with_the_sigma_of_the_verdict(histo
     gyro, tracker = sensors.gyro(SHORT), sensors.star_tracker(SHORT)
     calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
     judged = verdict.judge(calibrator.filter, calibrator.belief)
-    charts = time_charts.equivalent_principal_point(history, None, 0.00645)
+    charts = time_charts.equivalent_principal_point(history, None, PITCH_MM)
     for chart, sigma in zip(charts, judged.equivalent_sigma_px):
         assert chart.figure.data[1].y[-1] == pytest.approx(3.0 * sigma, rel=1e-5)
 
@@ -288,16 +286,14 @@ def test_histograms_count_every_star_against_the_gaussian_of_its_own_sigma():
 
 def test_distortion_map_is_that_of_the_camera_model():
     """T18 Table 1: 3 px at the edges; a map against the same camera is empty."""
-    lens = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 2e-5])
-    detector = Detector(1024, 1024, 0.00645)
-    heat = detector_charts.distortion_map('', detector, lens).figure.data[0]
-    uv = np.array([[heat.x[3], heat.y[50]]]) - detector.centre_raster
-    pinhole = np.array([*lens[:3], 0.0, 0.0, 0.0, 0.0])
-    r_s = camera.unproject(uv, pinhole, 0.00645)
-    shift = np.linalg.norm(camera.project(r_s, lens, 0.00645) - uv)
+    heat = detector_charts.distortion_map('', DETECTOR, INTRINSICS).figure.data[0]
+    uv = np.array([[heat.x[3], heat.y[50]]]) - DETECTOR.centre_raster
+    pinhole = np.array([*INTRINSICS[:3], 0.0, 0.0, 0.0, 0.0])
+    r_s = camera.unproject(uv, pinhole, PITCH_MM)
+    shift = np.linalg.norm(camera.project(r_s, INTRINSICS, PITCH_MM) - uv)
     assert heat.z[50][3] == pytest.approx(shift, rel=1e-6)
     assert 2.5 < np.max(heat.z) < 3.5
-    empty = detector_charts.distortion_map('', detector, lens, lens)
+    empty = detector_charts.distortion_map('', DETECTOR, INTRINSICS, INTRINSICS)
     assert np.max(empty.figure.data[0].z) == 0.0 and len(empty.figure.data[1].x) == 0
 
 

@@ -3,7 +3,6 @@
 """The view of the running estimator: what it draws, and that it hears what is said."""
 
 import os
-from pathlib import Path
 import pty
 import re
 import signal
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from instruments import TAN2018
 from starcal_ros import cli
 from starcal_ros.cli import processes
 from starcal_ros.config import parameter_file
@@ -25,9 +25,9 @@ from starcal_ros.messages import conventions
 from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 20.0, 'simulation.real_time_factor': 0.0,
-     'simulation.wait_for_subscribers': 1})
+SCENARIO = TAN2018.replace({
+    'simulation.duration_s': 20.0, 'simulation.real_time_factor': 0.0,
+    'simulation.wait_for_subscribers': 1})
 STARS = np.dtype([('u', 'f8'), ('v', 'f8'), ('du', 'f8'), ('dv', 'f8'), ('catalog_id', 'u4'),
                   ('nis', 'f4'), ('accepted', 'u1')])
 PATIENCE_S = 30.0

@@ -5,15 +5,14 @@
 import dataclasses
 import io
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from instruments import CONFIG, REAL_SKY, TAN2018
 from starcal_ros import cli, report
-from starcal_ros.config import parameter_file
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.evaluation import batch, bounds, montecarlo
 from starcal_ros.filter.error_state import Filter
@@ -22,24 +21,22 @@ from starcal_ros.reproduction import published, real_images, traces
 from starcal_ros.reproduction.published import open_loop, table4
 from starcal_ros.simulation.truth import Truth
 
-CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
-SKY = Path(__file__).parents[3] / 'shared' / 'data' / 'real_sky'
-SCENARIO = parameter_file.load(CONFIG).replace({'simulation.duration_s': 6.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 6.0})
 
 
 @pytest.fixture(autouse=True, scope='module')
 def real_sky():
     """Say where the star images of others are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(real_images.VARIABLE, str(SKY))
+        patch.setenv(real_images.VARIABLE, str(REAL_SKY))
         yield
 
 
 @pytest.fixture(scope='module', params=published.names())
 def outcome(request, tmp_path_factory):
     """Return what a table gives in a run that is far too short."""
-    if request.param in ('real-sky', 'half-real') and not SKY.is_dir():
-        pytest.skip(f'{SKY} is not there')
+    if request.param in ('real-sky', 'half-real') and not REAL_SKY.is_dir():
+        pytest.skip(f'{REAL_SKY} is not there')
     return published.load(request.param).reproduce(
         SCENARIO, 2, tmp_path_factory.mktemp('work'), lambda part: None)
 
@@ -193,8 +190,8 @@ def test_command_prints_the_table_and_writes_it(tmp_path, capsys):
 
 
 def test_real_skies_are_met_by_the_bundle(tmp_path):
-    if not SKY.is_dir():
-        pytest.skip(f'{SKY} is not there')
+    if not REAL_SKY.is_dir():
+        pytest.skip(f'{REAL_SKY} is not there')
     outcome = published.load('real-sky').reproduce(SCENARIO, 1, tmp_path, lambda part: None)
     heldout = {row[0]: row[outcome.columns.index('held out (px)')] for row in outcome.rows
                if row[1] == 'bundle'}

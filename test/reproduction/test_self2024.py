@@ -4,8 +4,8 @@
 
 import numpy as np
 import pytest
-from test_published import SCENARIO
 
+from instruments import TAN2018
 from starcal_ros.core import camera
 from starcal_ros.evaluation import consistency
 from starcal_ros.reproduction import published, self2024, self2024_lens
@@ -125,7 +125,7 @@ def test_interrupted_study_goes_on_where_it_was(tmp_path, monkeypatch):
 
 
 def test_point_gives_the_numbers_that_others_rely_on(tmp_path):
-    outcome = published.load('s24-point').reproduce(SCENARIO, 2, tmp_path, lambda part: None)
+    outcome = published.load('s24-point').reproduce(TAN2018, 2, tmp_path, lambda part: None)
     entry = outcome.as_dict()
     for name in METHODS:
         assert set(entry[name]) == {'f_error_um', 'f_bias_um', 'x0_error_px', 'ms_per_round'}

@@ -2,23 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs over time: residuals of stars used and held out, the gyro alone, couplings."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018
 from starcal_ros.core.units import ARCSEC, DEG_PER_SQRT_HOUR
 from starcal_ros.evaluation.batch import run_batch
 from starcal_ros.reproduction import traces
 from starcal_ros.reproduction.published.fig5 import bias_drift
 
-CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
 # A gyro so coarse that a frame must find its attitude by itself, from its own stars.
 ARW, DURATION_S, RUNS = 1.0, 60.0, 40
-SCENARIO = parameter_file.load(CONFIG).replace(
-    {'simulation.duration_s': DURATION_S, 'gyro.arw_deg_sqrt_h': ARW})
+SCENARIO = TAN2018.replace({'simulation.duration_s': DURATION_S, 'gyro.arw_deg_sqrt_h': ARW})
 
 
 @pytest.fixture(scope='module')

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files for other programs, read as those read them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018
 from starcal_ros.config.models import detector
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
@@ -16,7 +14,6 @@ from starcal_ros.core.units import DEG_PER_HOUR
 from starcal_ros.messages import conventions
 from starcal_ros.results import export
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml')
 INTRINSICS = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 3e-5])
 C_sg = rotation.from_fixed_angles(np.radians([-0.1, 30.0, 359.8]))
 RESULT = {'intrinsics': dict(zip(INTRINSICS_KEYS, INTRINSICS.tolist())),
@@ -26,7 +23,7 @@ RESULT = {'intrinsics': dict(zip(INTRINSICS_KEYS, INTRINSICS.tolist())),
 
 @pytest.fixture(scope='module')
 def files():
-    return {name: yaml.safe_load(text) for name, text in export.files(RESULT, SCENARIO).items()}
+    return {name: yaml.safe_load(text) for name, text in export.files(RESULT, TAN2018).items()}
 
 
 def opencv(points_o, K, D):
@@ -45,8 +42,8 @@ def opencv(points_o, K, D):
 def seen():
     """Directions in the gyro axes, and where the core sees them, raster pixels."""
     r_s = np.column_stack((np.random.default_rng(1).uniform(-0.12, 0.12, (50, 2)), np.ones(50)))
-    uv, *_ = camera.linearize(r_s, INTRINSICS, SCENARIO.camera.pixel_pitch_mm)
-    return r_s @ C_sg, uv + detector(SCENARIO.camera).centre_raster
+    uv, *_ = camera.linearize(r_s, INTRINSICS, TAN2018.camera.pixel_pitch_mm)
+    return r_s @ C_sg, uv + detector(TAN2018.camera).centre_raster
 
 
 def test_camera_info_has_the_form_of_camera_info_manager(files):
@@ -85,13 +82,13 @@ def test_camchain_takes_the_gyro_axes_to_pixels_as_the_core(files, seen):
 
 def test_camchain_has_the_time_offset_where_it_was_estimated():
     result = {**RESULT, 'augmented': {'names': ['tau_s'], 'estimates': [0.0125]}}
-    cam = yaml.safe_load(export.files(result, SCENARIO)['camchain.yaml'])['cam0']
+    cam = yaml.safe_load(export.files(result, TAN2018)['camchain.yaml'])['cam0']
     assert cam['timeshift_cam_imu'] == 0.0125
 
 
 def test_imu_has_the_noise_of_the_scenario_in_si():
     """0.001 deg/sqrt(h) is 2.909e-7 rad/s/sqrt(Hz)."""
-    scenario = SCENARIO.replace({'estimator.process_noise.gyro_bias_deg_h_sqrt_h': 0.6})
+    scenario = TAN2018.replace({'estimator.process_noise.gyro_bias_deg_h_sqrt_h': 0.6})
     imu = yaml.safe_load(export.files(RESULT, scenario)['imu.yaml'])
     assert (imu['rostopic'], imu['update_rate']) == ('/imu/data_raw', 100.0)
     assert imu['gyroscope_noise_density'] == pytest.approx(2.9089e-7, rel=1e-4)

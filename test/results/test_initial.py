@@ -3,12 +3,11 @@
 """Where a saved calibration ended, another begins; and what can not be used is passed over."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI
@@ -16,8 +15,7 @@ from starcal_ros.results import initial, result
 from starcal_ros.results.store import CalibrationStore
 from starcal_ros.simulation import sensors
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 120.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 120.0})
 ASKED = SCENARIO.replace({'estimator.load_calibration': True})
 
 

@@ -3,12 +3,11 @@
 """RESULT.json: what is in it, that its parts agree, that it is JSON."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from starcal_ros.config import parameter_file
+from instruments import TAN2018
 from starcal_ros.core import rotation
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, PHI, UNIT
@@ -17,8 +16,7 @@ from starcal_ros.results.result import CalibrationError, converged, result, writ
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
-SCENARIO = parameter_file.load(Path(__file__).parents[2] / 'config' / 'tan2018.yaml').replace(
-    {'simulation.duration_s': 90.0})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 90.0})
 PROVENANCE = {'version': '1.2.3', 'config_sha256': 'ab', 'bag_sha256': 'cd'}
 
 

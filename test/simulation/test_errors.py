@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
+from instruments import PITCH_MM, TAN2018
 from starcal_ros.config import models, parameter_file
 from starcal_ros.config.instrument import ObserverConfig
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.shipped import config_file
 from starcal_ros.config.truth import TrueObserverConfig, sources
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR
@@ -26,7 +26,6 @@ from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
 
-TAN2018 = parameter_file.load(config_file('tan2018.yaml'))
 QUIET = TAN2018.replace({'truth.gyro.arw_deg_sqrt_h': 0.0,
                          'truth.star_tracker.centroid_sigma_px': 0.0})
 SOURCES = {source.__name__.rpartition('.')[2]: source for source in sources()}
@@ -304,7 +303,7 @@ def test_in_a_slew_a_time_offset_shifts_the_stars_by_rate_times_offset():
     shift = np.linalg.norm(frames.uv_raster - images(QUIET, frames, 0), axis=1)
     C_sg = Truth.from_scenario(QUIET).C_sg
     across = np.hypot(*C_sg[:2, 0])             # of the turn about x, what moves the boresight
-    expected = across * 0.025 * DEG * 25.6 / 0.00645
+    expected = across * 0.025 * DEG * 25.6 / PITCH_MM
     # 7.3 deg off the boresight: 1 / cos^2 stretches by 2.6 % at most, distortion 3 px by 2 %
     np.testing.assert_allclose(np.median(shift), expected, rtol=0.05)
 

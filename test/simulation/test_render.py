@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from instruments import PITCH_MM
 from starcal_ros.config.image import CentroidConfig, ImageConfig
 from starcal_ros.config.instrument import StarTrackerConfig
 from starcal_ros.config.scenario import Scenario
@@ -21,7 +22,7 @@ from starcal_ros.simulation.star_tracker import StarTrackerSimulator
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
 
-DETECTOR = Detector(256, 200, 0.00645)
+DETECTOR = Detector(256, 200, PITCH_MM)
 EXPOSURE_S = 0.18
 NODES = np.array(instants_ns(1.0)) * 1e-9
 
@@ -111,7 +112,7 @@ def test_a_star_at_the_edge_is_cut_there():
 # Counts
 
 def test_counts_have_the_mean_and_variance_of_their_sources():
-    camera = renderer(detector=Detector(512, 512, 0.00645), sky_electrons_s=400.0,
+    camera = renderer(detector=Detector(512, 512, PITCH_MM), sky_electrons_s=400.0,
                       dark_electrons_s=100.0, read_noise_electrons=6.0, gain_electrons=2.0)
     counts = camera.counts(np.zeros((512, 512))).astype(float)
     mean, variance = 90.0 / 2.0 + 200.0, (90.0 + 36.0) / 4.0 + 1.0 / 12.0

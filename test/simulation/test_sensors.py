@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import models, parameter_file
+from instruments import TAN2018
+from starcal_ros.config import models
 from starcal_ros.config.scenario import Scenario, stamp_ns
-from starcal_ros.config.shipped import config_file
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import DEG, DEG_PER_HOUR
 from starcal_ros.measurements.preintegration import preintegrate
@@ -22,7 +22,6 @@ from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
 from starcal_ros.sky.catalog import Catalog
 
-TAN2018 = parameter_file.load(config_file('tan2018.yaml'))
 NOISELESS = {'gyro.arw_deg_sqrt_h': 0.0, 'star_tracker.centroid_sigma_px': 0.0}
 UNBIASED = {'truth.gyro.bias_deg_h': (0.0, 0.0, 0.0)}
 # T18 Table 2 at 0.5 deg/s and 0.5 deg/s^2: 30 s of rest, 60 s + 1 s for 30 deg.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 
+from instruments import TOP
 from starcal_ros.sky import catalog
 from starcal_ros.sky.catalog import Catalog, load, load_containing, read_hip2
 
@@ -25,7 +26,7 @@ UNUSED_NUMBER = 120417  # the input catalogue went up to 120416
 @pytest.fixture
 def make_catalog() -> ModuleType:
     """Return the script that derives the table."""
-    path = Path(__file__).parents[2] / 'scripts' / 'make_catalog.py'
+    path = TOP / 'scripts' / 'make_catalog.py'
     spec = spec_from_file_location('make_catalog', path)
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)

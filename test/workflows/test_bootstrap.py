@@ -3,12 +3,12 @@
 """The chain from a focal length that is a tenth wrong and unidentified stars to the 16 states."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from instruments import TAN2018
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
 from starcal_ros.measurements.samples import Frames, GyroSamples
@@ -20,9 +20,7 @@ from starcal_ros.workflows.bootstrap import bootstrap
 
 pytest.importorskip('tetra3rs')
 
-CONFIG = Path(__file__).parents[2] / 'config' / 'tan2018.yaml'
-SCENARIO = parameter_file.load(CONFIG).replace({
-    'simulation.duration_s': 480.0, 'camera.focal_length_mm': 23.5})
+SCENARIO = TAN2018.replace({'simulation.duration_s': 480.0, 'camera.focal_length_mm': 23.5})
 TRUTH = Truth.from_scenario(SCENARIO)
 LIMIT = chi2.ppf(0.9999, 7)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from instruments import REAL_SKY
 from starcal_ros.cli import main
 from starcal_ros.config.models import detector
 from starcal_ros.config.parameter import ConfigError
@@ -23,7 +24,6 @@ from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
 from starcal_ros.workflows.still_images import calibration, opencv_camera, table
 
-SKY = Path(__file__).parents[3] / 'shared' / 'data' / 'real_sky'
 EPOCH = '2018-01-01T00:00:00'
 WIDTH, HEIGHT = 1280, 960
 TRUE = dict(zip(opencv_camera.KEYS, (2657.9, 657.2, 431.2, -0.032, 0.6, -7e-4, -1.1e-3)))
@@ -166,7 +166,7 @@ def test_real_sky(name, width, height, limit, reference, tmp_path, capsys):
 
     The reference is a fit of the same stars by others; the difference is far less than chance.
     """
-    table = SKY / name / 'stars.csv'
+    table = REAL_SKY / name / 'stars.csv'
     if not table.is_file():
         pytest.skip(f'{table.parent} is not there')
     out = tmp_path / 'camera.json'

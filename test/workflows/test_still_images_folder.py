@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from instruments import REAL_SKY
 from starcal_ros.cli import main
 from starcal_ros.config.image import ImageConfig
 from starcal_ros.core import camera, rotation
@@ -31,7 +32,6 @@ from starcal_ros.workflows.still_images import (calibration, folder as star_fold
 
 pytest.importorskip('tetra3rs')
 
-SKY = Path(__file__).parents[3] / 'shared' / 'data' / 'real_sky'
 EPOCH = '2026-03-05T22:10:00'
 SITE = Site(47.0, 8.5, 500.0, 950.0, 5.0)
 PIXELS = Detector(640, 480, calibration.PITCH_MM)
@@ -244,16 +244,16 @@ def test_images_of_which_none_can_be_used_are_named(tmp_path, capsys):
 ])
 def test_real_images_give_the_camera_that_others_found(name, fov, limit, reference, tmp_path):
     """Every fourth image held out, twice as many stars as in the tables of others."""
-    if not (SKY / name).is_dir():
-        pytest.skip(f'{SKY / name} is not there')
+    if not (REAL_SKY / name).is_dir():
+        pytest.skip(f'{REAL_SKY / name} is not there')
     out = tmp_path / 'camera.json'
-    assert main(['intrinsics', str(SKY / name), '--fov', fov, '--heldout', '4', '--out',
+    assert main(['intrinsics', str(REAL_SKY / name), '--fov', fov, '--heldout', '4', '--out',
                  str(out)]) == 0
     result = json.loads(out.read_text())
     assert result['heldout_rms_px'] < limit and result['left_out'] == {}
     for key, value in zip(opencv_camera.KEYS, reference):
         assert abs(result[key] - value) < 4.0 * result['sigma'][key], key
-    with (SKY / name / 'stars.csv').open() as stream:
+    with (REAL_SKY / name / 'stars.csv').open() as stream:
         others = len(list(csv.DictReader(stream)))
     assert result['counts']['stars'] + result['counts']['heldout_stars'] > 1.4 * others
 

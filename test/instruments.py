@@ -1,0 +1,31 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The instrument that most tests calibrate, T18's, and where the skies of others are.
+
+All is read of the shipped file, whose numbers `test_parameter_file.py` holds against the paper's.
+"""
+
+from functools import partial
+from pathlib import Path
+
+from starcal_ros.calibration import invariants
+from starcal_ros.config import models, parameter_file
+from starcal_ros.core import camera
+
+TOP = Path(__file__).resolve().parents[1]
+CONFIG = TOP / 'config' / 'tan2018.yaml'
+TAN2018 = parameter_file.load(CONFIG)
+
+DETECTOR = models.detector(TAN2018.camera)
+PITCH_MM = DETECTOR.pitch_mm
+INTRINSICS = models.intrinsics(TAN2018.camera, TAN2018.truth.camera)
+"""The true ones, T18 Table 1: 3 px of distortion at the corner."""
+INTRINSICS.flags.writeable = False
+LENS = invariants.Lens(partial(camera.unproject, pitch_mm=PITCH_MM),
+                       partial(camera.linearize, pitch_mm=PITCH_MM))
+
+_DATA = TOP.parent / 'shared' / 'data'
+EXTERNAL = _DATA / 'external_tan2018'
+"""A recording by others of the same instrument; not part of the checkout."""
+REAL_SKY = _DATA / 'real_sky'
+"""Folders of real images with their stars; not part of the checkout."""
