@@ -71,7 +71,7 @@ def test_composed_says_which_nodes_there_are(start, names, said):
 
 def test_every_node_can_be_composed():
     nodes = {path.stem for path in (TOP / 'starcal_ros' / 'nodes').glob('*')
-             if path.suffix == '.py' and 'runtime.run(' in path.read_text()}
+             if path.suffix == '.py' and 'run_loop.run(' in path.read_text()}
     assert set(NODES) == nodes
     assert all(issubclass(node_class(name), rclpy.node.Node) for name in NODES)
 
