@@ -149,6 +149,17 @@ def test_centroid_that_is_off_by_some_pixels_is_left_out(place):
     assert np.flatnonzero(np.isinf(kept.sigma)).tolist() == [3]
 
 
+@pytest.mark.parametrize('place', PLACES)
+def test_centroids_that_are_off_together_do_not_pull_the_fit_to_them(place):
+    """A fifth of the stars, at one edge: a plain fit takes most of it for a turn and the lens."""
+    look = Look(place)
+    u = look.stars.uv[:, 0]
+    wrong = u > np.quantile(u, 0.8)
+    look.stars.uv[wrong] += (3.0, 0.0)                      # 60 sigma
+    _, kept = acquire(FILTER, None, look.stars)
+    np.testing.assert_array_equal(np.isinf(kept.sigma), wrong)
+
+
 def test_first_fix_knows_the_calibration_as_the_scenario_does_and_no_attitude():
     """The frame is not used up: only the values from which it is linearised are its own."""
     belief, _ = acquire(FILTER, None, Look(0).stars)
