@@ -149,6 +149,24 @@ def test_wrong_stars_are_let_go(part, where):
     np.testing.assert_allclose((found.intrinsics - alone.intrinsics) / sigma, 0.0, atol=2e-3)
 
 
+@pytest.mark.parametrize('shift', [(2.0, 0.0), (0.0, 2.0)], ids=['u', 'v'])
+@pytest.mark.parametrize('seed', range(3))
+def test_spots_that_are_off_together_do_not_pull_the_camera_to_them(seed, shift):
+    """A fifth of them, at one edge, by 40 sigma: a plain fit takes most of it for distortion."""
+    spots, C_si, *_ = scene(np.random.default_rng([10, seed]), 12, 60)
+    u = spots.uv[:, 0]
+    wrong = u > np.quantile(u, 0.8)
+    spots = spots._replace(uv=spots.uv + np.outer(wrong, shift))
+    found = adjust(spots, START, C_si, NO_POINTS, PITCH_MM, PRIOR_P, GATE)
+    alone = adjust(Observations(*(column[~wrong] for column in spots)), START, C_si, NO_POINTS,
+                   PITCH_MM, PRIOR_P, GATE)
+    assert not found.used[wrong].any()
+    np.testing.assert_array_equal(found.used[~wrong], alone.used)
+    # In the end both fit the same spots, from where they stand: to a step of 1e-3 sigma.
+    sigma = np.sqrt(np.diag(alone.covariance))
+    np.testing.assert_allclose((found.intrinsics - alone.intrinsics) / sigma, 0.0, atol=2e-3)
+
+
 def test_groups_that_share_no_star_each_keep_one_attitude():
     rng = np.random.default_rng(6)
     spots, C_si, u, star = scene(rng, 6, 40, sigma=0.0)
