@@ -62,14 +62,19 @@ def write(path, images, sigma=0.1, seed=1, held=(), wrong=0.0):
 
 
 @pytest.fixture(scope='module')
-def found(tmp_path_factory):
+def calibrated(tmp_path_factory):
     """Return what the bundle makes of twelve images, two held out."""
     path = write(tmp_path_factory.mktemp('plates') / 'stars.csv', 12, held=(3, 7))
     images = table.read_centroids(path, EPOCH)
     f_px = calibration.focal_length_px(images, WIDTH, HEIGHT)
     assert f_px == pytest.approx(TRUE['f_px'], rel=0.05)
     scenario = calibration.scenario_of(WIDTH, HEIGHT, f_px, 'bundle')
-    return calibration.calibrate(images, scenario).as_dict()
+    return calibration.calibrate(images, scenario)
+
+
+@pytest.fixture(scope='module')
+def found(calibrated):
+    return calibrated.as_dict()
 
 
 def test_the_true_camera_is_found_within_its_sigma(found):
@@ -109,6 +114,20 @@ def test_residuals_are_the_noise_of_the_centroids(found):
     assert found['fit_rms_px'] == pytest.approx(0.1, rel=0.08)
     assert found['heldout_rms_px'] == pytest.approx(0.1, rel=0.15)
     assert found['counts']['images'] == 10 and found['counts']['heldout_stars'] > 50
+
+
+def test_noise_is_shared_by_what_camera_and_attitudes_leave_free(calibrated):
+    """The unbiased variance: the squares over 2 n less the rank of all that was fitted."""
+    _, spots, adjusted = calibrated.fit
+    frame, used = spots.frame, adjusted.used
+    r_s = (adjusted.C_si[frame] @ spots.u_i[..., None])[..., 0]
+    _, by_rotation, by_camera = camera.linearize(r_s, adjusted.intrinsics, PIXELS.pitch_mm)
+    of_image = np.eye(len(adjusted.C_si))[frame]
+    J = np.concatenate(((of_image[:, None, :, None] * by_rotation[:, :, None, :]).reshape(
+        len(frame), 2, -1), by_camera), axis=-1)[used].reshape(2 * used.sum(), -1)
+    freedom = len(J) - np.linalg.matrix_rank(J / np.linalg.norm(J, axis=0))
+    assert calibrated.sigma_px == pytest.approx(
+        np.sqrt(np.sum(adjusted.residual[used]**2) / freedom), rel=1e-12)
 
 
 def test_page_shows_each_image_and_escapes_its_name(tmp_path):
