@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import poisson
 
 from instruments import DETECTOR, INTRINSICS, PITCH_MM, REAL_SKY
 from starcal_ros.config.image import CentroidConfig
@@ -88,6 +89,32 @@ def test_random_spots_are_no_stars():
     for _ in range(15):
         uv_raster = rng.uniform(0.0, 1023.0, (rng.integers(5, 40), 2))
         assert identifier.lost_in_space(uv_raster, rng.lognormal(size=len(uv_raster))) is None
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_a_pattern_that_no_other_spot_bears_out_is_chance(seed, monkeypatch):
+    """Four spots lie as four stars do, 34 others near no star.
+
+    The attitude is made of two of the four. By Eq. (I.2) two of 38 random spots fall into the
+    gates of 100 stars, each pi GATE MODEL_SIGMA_PX^2 at least, once in 50 000 frames or oftener.
+    """
+    rng, eye = np.random.default_rng(seed), viewer(seed, missing=0.0, false=0, sigma_px=0.0,
+                                                   limiting_magnitude=catalog.SHIPPED_LIMIT)
+    sight = eye.anywhere(STAMP_NS)
+    assert len(sight.flux) > 100
+    bright = np.argsort(-sight.flux)
+    anywhere = rng.uniform(0.0, 1023.0, (1000, 2))
+    far = np.linalg.norm(anywhere[:, None] - sight.uv_raster, axis=-1).min(axis=1) > 15.0
+    monkeypatch.setattr(star_patterns, 'search', lambda *_: star_patterns.PatternMatch(
+        np.arange(4), sight.hip[bright[:4]], INTRINSICS[2] / PITCH_MM, False))
+    identifier = Identifier(known())
+
+    def identify(count):
+        spots = np.vstack((sight.uv_raster[bright[:count]], anywhere[far][:34]))
+        return identifier.lost_in_space(spots, np.ones(len(spots)), STAMP_NS)
+
+    assert identify(4) is None
+    assert identify(12) is not None
 
 
 def test_a_mirrored_image_is_said_to_be_one():
@@ -196,6 +223,19 @@ def test_what_is_expected_without_reason_is_not_believed():
         prior = View.around(rotation.exp(rng.standard_normal(3)), 2e-3**2 * np.eye(3),
                             camera.intrinsics, camera.covariance)
         assert identifier.track(prior, rng.uniform(0.0, 1023.0, (10, 2)), np.ones(10)) is None
+
+
+def test_random_spots_are_tracked_once_in_ten_thousand_frames_at_most():
+    """An attitude known to 6 px: by Eq. (I.2) up to one frame in 25 has three matches."""
+    rng, identifier, frames = np.random.default_rng(13), Identifier(known()), 2000
+    sigma = 6.0 * PITCH_MM / INTRINSICS[2]
+    answers = 0
+    for _ in range(frames):
+        prior = View.around(rotation.exp(rng.standard_normal(3)), sigma**2 * np.eye(3),
+                            INTRINSICS, np.zeros((7, 7)))
+        answers += identifier.track(prior, rng.uniform(0.0, 1023.0, (10, 2)),
+                                    np.ones(10)) is not None
+    assert answers <= poisson.ppf(0.999, 1e-4 * frames)
 
 
 # The database
