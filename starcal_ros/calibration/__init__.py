@@ -5,8 +5,8 @@
 Each module of `methods` has ``start(scenario, known=None)``, which returns a
 `method.CameraMethod`: gyro samples and frames in the order of their stamps go in, a camera with
 its covariance comes out. It begins at the nominal camera with the initial sigmas, or at what is
-known from other frames. What all methods must do is tested in ``test/test_methods.py``, which
-finds them here.
+known from other frames. What all methods must do is tested in
+``test/calibration/test_methods.py``, which finds them here.
 """
 
 from __future__ import annotations

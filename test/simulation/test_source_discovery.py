@@ -5,7 +5,6 @@
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import invalidate_caches
-from pathlib import Path
 import pickle
 import re
 import subprocess
@@ -15,16 +14,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from starcal_ros.config import parameter_file, scenario, truth
+from instruments import TAN2018, TOP
+from starcal_ros.config import scenario, truth
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.shipped import config_file
 from starcal_ros.core import rotation
 from starcal_ros.reproduction.published import budget
 from starcal_ros.simulation import errors, sensors
 from starcal_ros.simulation.truth import Truth
 
-TOP = next(folder for folder in Path(__file__).parents if (folder / 'setup.py').is_file())
-VALUES = {**parameter_file.load(config_file('tan2018.yaml')).flat(), 'motion.dwell_s': 0.0,
+VALUES = {**TAN2018.flat(), 'motion.dwell_s': 0.0,
           'truth.gyro.bias_deg_h': (0.0, 0.0, 0.0), 'truth.gyro.arw_deg_sqrt_h': 0.0}
 SOURCE = """
 from dataclasses import dataclass, replace
