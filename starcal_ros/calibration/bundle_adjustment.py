@@ -202,7 +202,7 @@ class _Problem:
         self.pinned = self._pinned()
 
     def _pinned(self) -> Ints:
-        """Return the frames whose attitude is held: one of each group without a known place."""
+        """Return the frames whose attitude is held: one of each group of unknown directions."""
         spots, n = self.spots, len(self.first)
         free = np.flatnonzero(~self.known)
         if not len(free):
@@ -275,7 +275,7 @@ class _Problem:
 
 
 class _Points(NamedTuple):
-    """The rows of the spots without a place."""
+    """The rows of the spots of unknown direction."""
 
     frame: Ints
     point: Ints

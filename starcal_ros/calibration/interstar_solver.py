@@ -206,7 +206,7 @@ class InterstarSolver:
         return x, covariance
 
     def _first(self, windows: Sequence[Window]) -> Array:
-        """Return about the camera, from some of the windows.
+        """Return an initial camera, from a subset of the windows.
 
         Distortion is told apart only where the rest is about right, and r held leads there from
         further away.

@@ -35,5 +35,5 @@ class IntrinsicsConfig:
     interstar_equations: Annotated[str, Spec(
         'Equations of interstar: traditional (T, identified stars) or self-calibration (S), '
         'without (O) or with (W) the constraint of the optical path (S24). SCOC is freed of its '
-        'bias, and the one that knows distortion without names',
+        'bias, and the only one that estimates distortion from unidentified spots',
         choices=('TCOC', 'TCWC', 'SCOC', 'SCWC'))] = 'SCOC'

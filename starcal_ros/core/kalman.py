@@ -86,7 +86,7 @@ def innovate(root: Array, H: Array, z: Array, sigma: Array) -> Innovation:
     z : (..., n, 2) array
         Innovation (predicted minus measured, the error being estimate minus truth).
     sigma : (..., n) array
-        Standard deviation of both coordinates; infinite for a pair that must not count.
+        Standard deviation of both coordinates; infinite for an excluded pair.
     """
     weight = (1.0 / sigma)[..., None]
     whitened = z * weight

@@ -80,7 +80,7 @@ def cramer_rao(filter_: Filter, truth: Truth, frames: Frames, u_i: Array, ends: 
     truth : Truth
         Camera, mounting, motion.
     frames : Frames
-        Stamps, sigmas and numbers of the stars; the centroids do not matter.
+        Stamps, sigmas and catalogue numbers of the stars; the centroids do not matter.
     u_i : (n_stars, 3) array
         Their apparent places.
     ends : sequence of int

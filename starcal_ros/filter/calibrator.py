@@ -76,7 +76,7 @@ class FrameResult(NamedTuple):
     uv_raster : (n, 2) array
         Measured centroids [px].
     residual : (n, 2) array
-        Measured minus predicted centroid after the update [px]; NaN for a star without place.
+        Measured minus predicted centroid after the update [px]; NaN for an unusable star.
     chi2 : (n,) array
         Normalised innovation squared, two degrees of freedom; NaN likewise.
     accepted : (n,) bool array

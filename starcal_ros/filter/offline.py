@@ -29,7 +29,7 @@ class Residuals:
     uv_raster : (m, 2) array
         Measured centroids [px].
     residual : (m, 2) array
-        Measured minus predicted centroid after the update [px]; NaN for a star without place.
+        Measured minus predicted centroid after the update [px]; NaN for an unusable star.
     accepted : (m,) bool array
         Stars used.
     sigma : (m,) array

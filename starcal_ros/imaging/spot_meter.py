@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One image as one frame: the spots that may be stars, measured, without numbers."""
+"""One image as one frame: the spots that may be stars, measured and unidentified."""
 
 from __future__ import annotations
 

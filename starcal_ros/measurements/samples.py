@@ -153,7 +153,7 @@ class Stars(NamedTuple):
     uv : (..., n, 2) array
         Measured centroids, from the centre of the detector [px].
     sigma : (..., n) array
-        Standard deviation of a centroid, each axis [px]; infinite for one that must not count.
+        Standard deviation of a centroid, each axis [px]; infinite for an excluded one.
     """
 
     u_i: Array

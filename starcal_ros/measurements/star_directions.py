@@ -18,7 +18,7 @@ SIGMA_PX = (1e-4, 1e3)
 """Least and largest sigma of a centroid; outside, the arithmetic of a filter ends."""
 
 _OUTSIDE = 1.1              # a centroid may lie this far out, in halves of the detector
-_NAMED = 20                 # stars of unknown place that are named, at most
+_NAMED = 20                 # stars that the catalogue lacks that are named, at most
 
 
 class StarDirections:
@@ -64,7 +64,7 @@ class StarDirections:
 
     def centroids(self, frames: Frames, notices: Notices | None = None
                   ) -> tuple[Array, Array, Mask]:
-        """Return the centroids of frames as they can be used, with or without a place.
+        """Return the centroids of frames as they can be used, identified or not.
 
         Returns
         -------

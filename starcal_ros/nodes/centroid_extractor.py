@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Node `centroid_extractor`: images in, the spots in them out, without numbers."""
+"""Node `centroid_extractor`: images in, unidentified centroids out."""
 
 from __future__ import annotations
 

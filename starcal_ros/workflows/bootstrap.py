@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""From a camera known to a tenth, and stars without names, to the 16 states.
+"""From a camera known to a tenth, and unidentified stars, to the 16 states.
 
 Each step begins with what the last one knows, and none sees a frame that an earlier one has
 learnt from: what the covariances promise stays true. The recording is divided accordingly ::
@@ -181,7 +181,7 @@ def _agree(camera: CameraEstimate, better: CameraEstimate) -> bool:
 
 def identify(gyro: GyroSamples, frames: Frames, camera: CameraEstimate, scenario: Scenario,
              on_progress: Callable[[float], None] = lambda part: None) -> Frames:
-    """Return the frames with the numbers of their stars, 0 where one can not be told.
+    """Return the frames with the catalogue numbers of their stars, 0 for an unidentified one.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ from starcal_ros.core.camera_estimate import CameraEstimate
 
 MIN_STARS = 3
 
-_NEVER = 1e12           # variance of what must not count; that of a direction is about 1e-8
+_NEVER = 1e12           # variance of what is excluded; that of a direction is about 1e-8
 _LEAST = 1e-12          # singular value below which it is zero
 _ITSELF = np.diag([np.inf] * 3)
 

@@ -162,7 +162,7 @@ class FlowPublisher:
 
 
 def drain(publishers: Iterable[FlowPublisher], patience_s: float = 1.0) -> bool:
-    """Wait until all that was published is acknowledged, but no longer than this."""
+    """Wait at most `patience_s` until all that was published is acknowledged."""
     deadline = time.monotonic() + patience_s
     for publisher in publishers:
         while not publisher.acknowledged:

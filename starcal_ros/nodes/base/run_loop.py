@@ -181,7 +181,7 @@ def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
 
 
 def _turn(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
-    """Serve nodes for a while, no longer than SPIN_S where nothing comes."""
+    """Serve nodes for a while, at most SPIN_S where nothing comes."""
     inputs = [getattr(node, 'inputs', ()) for node in nodes]
     if not all(inputs):
         executor.spin_once(timeout_sec=SPIN_S)

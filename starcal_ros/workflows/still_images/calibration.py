@@ -144,8 +144,8 @@ def focal_length_px(images: StillImages, width: int, height: int) -> float:
     angle = 2.0 * np.arcsin(0.5 * np.linalg.norm(np.diff(u_i, axis=0), axis=-1)[pairs])
     length = np.linalg.norm(np.diff(uv, axis=0), axis=-1)[pairs]
     if not (angle > 0.0).any():
-        raise ConfigError(f'{len(frames)} images with {known.sum()} stars of known place: needs '
-                          'two identified stars in one image')
+        raise ConfigError(f'{len(frames)} images with {known.sum()} stars of known direction: '
+                          'needs two identified stars in one image')
     return float(np.median(length[angle > 0.0] / angle[angle > 0.0]))
 
 
