@@ -26,7 +26,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.shipped import config_file
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES
-from starcal_ros.messages import conventions
+from starcal_ros.messages import conventions, topics
 from starcal_ros.recording.bag import open_bag
 from starcal_ros.recording.writer import typestore
 
@@ -179,7 +179,7 @@ def compare(recording: Path, calibrator: Calibrator) -> float:
 def last_state(recording: Path) -> Any:
     """Return the data of the last ``starcal/state`` of a recording, None where there is none."""
     last, bag = None, open_bag(recording)
-    for _, _, messages, _ in bag.messages(['/starcal/state']):
+    for _, _, messages, _ in bag.messages([topics.STATE.recorded]):
         last = messages
     if last is None:
         return None

@@ -8,38 +8,58 @@ from typing import NamedTuple
 
 
 class Topic(NamedTuple):
-    """A topic of the suite; the name is relative, so it may stand in a namespace."""
+    """A topic of the suite.
+
+    Attributes
+    ----------
+    name : str
+        Relative, so that it may stand in a namespace.
+    type_name : str
+        As in ``sensor_msgs/msg/Imu``.
+    latched : bool
+        Whether who comes late gets the last message.
+    result : bool
+        Whether an estimator publishes it.
+    """
 
     name: str
     type_name: str
     latched: bool = False
     result: bool = False
 
+    @property
+    def recorded(self) -> str:
+        """The name in recordings of a suite without a namespace, as in ``/imu/data_raw``."""
+        return '/' + self.name.lstrip('/')
 
-TOPICS = (
-    Topic('imu/data_raw', 'sensor_msgs/msg/Imu'),
-    Topic('star_tracker/centroids', 'sensor_msgs/msg/PointCloud2'),
-    Topic('star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True),
-    Topic('star_tracker/image_raw', 'sensor_msgs/msg/Image'),
-    Topic('star_tracker/spots', 'sensor_msgs/msg/PointCloud2'),
-    Topic('truth/centroids', 'sensor_msgs/msg/PointCloud2'),
-    Topic('truth/attitude', 'geometry_msgs/msg/QuaternionStamped'),
-    Topic('truth/parameters', 'std_msgs/msg/Float64MultiArray', latched=True),
-    Topic('starcal/imu', 'sensor_msgs/msg/Imu', result=True),
-    Topic('starcal/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True, result=True),
-    Topic('starcal/gyro_bias', 'geometry_msgs/msg/TwistWithCovarianceStamped', latched=True,
-          result=True),
-    Topic('starcal/mounting', 'geometry_msgs/msg/PoseWithCovarianceStamped', latched=True,
-          result=True),
-    Topic('starcal/state', 'std_msgs/msg/Float64MultiArray', latched=True, result=True),
-    Topic('starcal/residuals', 'sensor_msgs/msg/PointCloud2', latched=True, result=True),
-    Topic('starcal/intrinsics/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True,
-          result=True),
-    Topic('starcal/intrinsics/state', 'std_msgs/msg/Float64MultiArray', latched=True,
-          result=True),
-    Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result=True),
-    Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True),
-)
-GYRO = 'imu/data_raw'
-STARS = ('star_tracker/centroids', 'star_tracker/spots', 'star_tracker/image_raw')
+
+IMU = Topic('imu/data_raw', 'sensor_msgs/msg/Imu')
+CENTROIDS = Topic('star_tracker/centroids', 'sensor_msgs/msg/PointCloud2')
+SPOTS = Topic('star_tracker/spots', 'sensor_msgs/msg/PointCloud2')
+IMAGES = Topic('star_tracker/image_raw', 'sensor_msgs/msg/Image')
+NOMINAL_CAMERA = Topic('star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True)
+
+TRUE_CENTROIDS = Topic('truth/centroids', 'sensor_msgs/msg/PointCloud2')
+TRUE_ATTITUDE = Topic('truth/attitude', 'geometry_msgs/msg/QuaternionStamped')
+TRUE_PARAMETERS = Topic('truth/parameters', 'std_msgs/msg/Float64MultiArray', latched=True)
+
+ATTITUDE = Topic('starcal/imu', 'sensor_msgs/msg/Imu', result=True)
+STATE = Topic('starcal/state', 'std_msgs/msg/Float64MultiArray', latched=True, result=True)
+CAMERA = Topic('starcal/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True, result=True)
+GYRO_BIAS = Topic('starcal/gyro_bias', 'geometry_msgs/msg/TwistWithCovarianceStamped',
+                  latched=True, result=True)
+MOUNTING = Topic('starcal/mounting', 'geometry_msgs/msg/PoseWithCovarianceStamped',
+                 latched=True, result=True)
+RESIDUALS = Topic('starcal/residuals', 'sensor_msgs/msg/PointCloud2', latched=True, result=True)
+TRANSFORM = Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True)
+INTRINSICS_CAMERA = Topic('starcal/intrinsics/camera_info', 'sensor_msgs/msg/CameraInfo',
+                          latched=True, result=True)
+INTRINSICS_STATE = Topic('starcal/intrinsics/state', 'std_msgs/msg/Float64MultiArray',
+                         latched=True, result=True)
+DIAGNOSTICS = Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result=True)
+
+TOPICS = (IMU, CENTROIDS, NOMINAL_CAMERA, IMAGES, SPOTS, TRUE_CENTROIDS, TRUE_ATTITUDE,
+          TRUE_PARAMETERS, ATTITUDE, CAMERA, GYRO_BIAS, MOUNTING, STATE, RESIDUALS,
+          INTRINSICS_CAMERA, INTRINSICS_STATE, DIAGNOSTICS, TRANSFORM)
+STARS = (CENTROIDS, SPOTS, IMAGES)
 """What star trackers deliver: each is made of the next where it is not there."""

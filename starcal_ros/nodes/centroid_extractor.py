@@ -9,7 +9,7 @@ from typing import Any
 from sensor_msgs.msg import Image, PointCloud2
 
 from starcal_ros.imaging.spot_meter import SpotMeter
-from starcal_ros.messages import cdr_pointcloud
+from starcal_ros.messages import cdr_pointcloud, topics
 from starcal_ros.messages.cdr_image import ImageMessageError, decode_image
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
@@ -32,7 +32,7 @@ class CentroidExtractor(ManagedNode):
     def configure(self) -> None:
         """Prepare the measurement and its publisher."""
         self._meter = SpotMeter(self.scenario)
-        self._spots = FlowPublisher(self, PointCloud2, 'star_tracker/spots', patience_s=PATIENCE_S)
+        self._spots = FlowPublisher(self, PointCloud2, topics.SPOTS.name, patience_s=PATIENCE_S)
 
     def activate(self) -> None:
         """Listen to the images, as soon as the spots have the listeners they must have."""
@@ -43,7 +43,7 @@ class CentroidExtractor(ManagedNode):
             self._listen)
 
     def _listen(self) -> None:
-        self._images = MatchedSubscription(self, Image, 'star_tracker/image_raw', self._on_images,
+        self._images = MatchedSubscription(self, Image, topics.IMAGES.name, self._on_images,
                                            raw=True, at_once=_AT_ONCE)
 
     def deactivate(self) -> None:

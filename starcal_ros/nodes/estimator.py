@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from starcal_ros import __version__
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.messages import cdr_imu, cdr_pointcloud
+from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.flow_publisher import when_subscribed
@@ -65,8 +65,8 @@ class Estimator(ManagedNode):
     def _listen(self) -> None:
         self._timers_running.pop()      # has ended itself
         self.inputs += [
-            MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
-            MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
+            MatchedSubscription(self, Imu, topics.IMU.name, self._on_gyro, raw=True),
+            MatchedSubscription(self, PointCloud2, topics.CENTROIDS.name, self._on_frames,
                                 raw=True)]
 
     def deactivate(self) -> None:

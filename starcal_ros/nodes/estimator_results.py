@@ -12,6 +12,7 @@ from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.calibrator import Calibrator, FrameResult
+from starcal_ros.messages import topics
 from starcal_ros.nodes.base import ros_messages
 from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain
 
@@ -35,14 +36,15 @@ class Results:
     def __init__(self, node: Node) -> None:
         self._node = node
         self.publishers: list[FlowPublisher] = []
-        self._imu = self._publisher(Imu, 'starcal/imu', latched=False)
-        self._state = self._publisher(Float64MultiArray, 'starcal/state')
-        self._camera = self._publisher(CameraInfo, 'starcal/camera_info')
-        self._bias = self._publisher(TwistWithCovarianceStamped, 'starcal/gyro_bias')
-        self._mounting = self._publisher(PoseWithCovarianceStamped, 'starcal/mounting')
-        self._residuals = self._publisher(PointCloud2, 'starcal/residuals')
-        self._transform = TFMessage and self._publisher(TFMessage, '/tf_static')
-        self._diagnostics = self._publisher(DiagnosticArray, 'diagnostics', latched=False)
+        self._imu = self._publisher(Imu, topics.ATTITUDE.name, latched=False)
+        self._state = self._publisher(Float64MultiArray, topics.STATE.name)
+        self._camera = self._publisher(CameraInfo, topics.CAMERA.name)
+        self._bias = self._publisher(TwistWithCovarianceStamped, topics.GYRO_BIAS.name)
+        self._mounting = self._publisher(PoseWithCovarianceStamped, topics.MOUNTING.name)
+        self._residuals = self._publisher(PointCloud2, topics.RESIDUALS.name)
+        self._transform = TFMessage and self._publisher(TFMessage, topics.TRANSFORM.name)
+        self._diagnostics = self._publisher(DiagnosticArray, topics.DIAGNOSTICS.name,
+                                            latched=False)
 
     def _publisher(self, kind: type, topic: str, latched: bool = True) -> FlowPublisher:
         publisher = FlowPublisher(self._node, kind, topic, latched=latched,

@@ -9,7 +9,7 @@ from typing import Any
 
 from sensor_msgs.msg import Imu
 
-from starcal_ros.messages import cdr_imu
+from starcal_ros.messages import cdr_imu, topics
 from starcal_ros.messages.conventions import GYRO_FRAME
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher
@@ -28,7 +28,7 @@ class GyroSim(Simulator):
         scenario = parameters.declare(self, 'gyro', 'motion', 'truth', 'simulation')
         self._simulator = sensors.gyro(scenario)
         self._told = 0
-        self._readings = FlowPublisher(self, Imu, 'imu/data_raw')
+        self._readings = FlowPublisher(self, Imu, topics.IMU.name)
         self.begin(scenario.simulation, self._readings, self._items())
 
     def _items(self) -> Iterator[Item]:

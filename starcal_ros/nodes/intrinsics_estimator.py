@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.measurements.samples import Frames
-from starcal_ros.messages import cdr_imu, cdr_pointcloud
+from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import ros_messages, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, drain
@@ -42,16 +42,16 @@ class IntrinsicsEstimator(ManagedNode):
         self._method = calibration.start(self.scenario)
         self._detector = detector(self.scenario.camera)
         self._stamp_ns, self._dirty, self._not_before = 0, False, 0.0
-        self._camera = FlowPublisher(self, CameraInfo, 'starcal/intrinsics/camera_info',
+        self._camera = FlowPublisher(self, CameraInfo, topics.INTRINSICS_CAMERA.name,
                                      latched=True)
-        self._state = FlowPublisher(self, Float64MultiArray, 'starcal/intrinsics/state',
+        self._state = FlowPublisher(self, Float64MultiArray, topics.INTRINSICS_STATE.name,
                                     latched=True)
 
     def activate(self) -> None:
         """Listen to the sensors."""
         self._inputs = [
-            MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
-            MatchedSubscription(self, PointCloud2, 'star_tracker/centroids', self._on_frames,
+            MatchedSubscription(self, Imu, topics.IMU.name, self._on_gyro, raw=True),
+            MatchedSubscription(self, PointCloud2, topics.CENTROIDS.name, self._on_frames,
                                 raw=True)]
         self._timer = run_loop.steady_timer(self, _PERIOD_S, self._answer_in_time)
 

@@ -26,14 +26,14 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import PlayerConfig
 from starcal_ros.core.units import NS
 from starcal_ros.messages.cdr import RecordError
-from starcal_ros.messages.topics import GYRO, STARS, TOPICS
+from starcal_ros.messages.topics import IMU, STARS, TOPICS
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
 from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
 
-_RESULTS = tuple('/' + topic.name.lstrip('/') for topic in TOPICS if topic.result)
+_RESULTS = tuple(topic.recorded for topic in TOPICS if topic.result)
 _OF_ROS = ('/rosout', '/parameter_events', '/clock')
 
 
@@ -53,9 +53,10 @@ class Player(Node):
         self._feed = Feed(self, self._playback,
                           self._laps(bag, publishers, start_ns, player.loop))
         self._serve(player)
-        stars = next((form for form in STARS if any(n.endswith(form) for n in publishers)), GYRO)
+        stars = next((form for form in STARS
+                      if any(name.endswith(form.name) for name in publishers)), IMU)
         sensors = [publisher for name, publisher in publishers.items()
-                   if name.endswith((GYRO, stars))]
+                   if name.endswith((IMU.name, stars.name))]
         when_subscribed(self, sensors or publishers.values(), player.wait_for_subscribers,
                         self._playback.begin)
         for text in bag.warnings:

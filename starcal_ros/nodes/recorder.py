@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config import parameter_file
-from starcal_ros.messages.topics import TOPICS
+from starcal_ros.messages.topics import DIAGNOSTICS, TOPICS, TRUE_PARAMETERS
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
@@ -33,7 +33,6 @@ from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.recording.writer import Batch, Writer
 from starcal_ros.simulation.truth import VECTOR_SIZE, from_vector
 
-_TRUTH = 'truth/parameters'
 _FLUSH_S = 1.0                  # a killed recorder loses no more than this
 _FLUSH_BYTES = 16 << 20
 _SEARCH_S = 0.2
@@ -125,7 +124,7 @@ class Recorder(ManagedNode):
                                + ', '.join(f'{name} {n}' for name, n in counts.items() if n))
 
     def _attach_truth(self) -> None:
-        channel = self._channels.get(self.resolve_topic_name(_TRUTH))
+        channel = self._channels.get(self.resolve_topic_name(TRUE_PARAMETERS.name))
         if channel and channel.latest:
             values = np.array(deserialize_message(channel.latest[-1], Float64MultiArray).data)
             if len(values) != VECTOR_SIZE:
@@ -139,7 +138,7 @@ class Recorder(ManagedNode):
             self.get_logger().debug(f'{name} is not recorded: {type_name} is not installed')
             return
         # The stamp of diagnostics is the wall clock, also in a simulated run.
-        stamped = is_stamped(kind) and not name.endswith('diagnostics')
+        stamped = is_stamped(kind) and not name.endswith(DIAGNOSTICS.name)
         channel = self._channels.setdefault(name, _Channel(
             type_name, latched, stamped, source or name.rsplit('/', 1)[0]))
         channel.known = set(channel.latest) if latched else set()

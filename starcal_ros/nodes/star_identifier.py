@@ -18,7 +18,7 @@ from sensor_msgs.msg import Imu, PointCloud2
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core.arrays import Ints
 from starcal_ros.identification.frame_identifier import FrameIdentifier
-from starcal_ros.messages import cdr, cdr_imu, cdr_pointcloud
+from starcal_ros.messages import cdr, cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
@@ -54,7 +54,7 @@ class StarIdentifier(ManagedNode):
         except (ImportError, ValueError) as error:
             raise ConfigError(str(error)) from None
         self._waiting: deque[_Waiting] = deque()
-        self._stars = FlowPublisher(self, PointCloud2, 'star_tracker/centroids',
+        self._stars = FlowPublisher(self, PointCloud2, topics.CENTROIDS.name,
                                     patience_s=PATIENCE_S)
 
     def activate(self) -> None:
@@ -68,8 +68,8 @@ class StarIdentifier(ManagedNode):
     def _listen(self) -> None:
         self._timers_running.pop()      # has ended itself
         self.inputs += [
-            MatchedSubscription(self, Imu, 'imu/data_raw', self._on_gyro, raw=True),
-            MatchedSubscription(self, PointCloud2, 'star_tracker/spots', self._on_spots, raw=True)]
+            MatchedSubscription(self, Imu, topics.IMU.name, self._on_gyro, raw=True),
+            MatchedSubscription(self, PointCloud2, topics.SPOTS.name, self._on_spots, raw=True)]
 
     def deactivate(self) -> None:
         """Use up what has arrived; frames that wait go without the readings they wait for."""

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.messages import cdr_image, cdr_pointcloud
+from starcal_ros.messages import cdr_image, cdr_pointcloud, topics
 from starcal_ros.nodes.base import parameters, ros_messages, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
@@ -41,13 +41,14 @@ class StarTrackerSim(Simulator):
         except ValueError as error:         # a catalogue that does not reach so deep
             raise ConfigError(str(error)) from None
         self._truth = self._simulator.truth
-        self._images = (FlowPublisher(self, Image, 'star_tracker/image_raw')
+        self._images = (FlowPublisher(self, Image, topics.IMAGES.name)
                         if self._renderer else None)
         self._centroids = FlowPublisher(
-            self, PointCloud2, 'truth/centroids' if self._renderer else 'star_tracker/centroids')
-        self._attitude = FlowPublisher(self, QuaternionStamped, 'truth/attitude')
-        info = FlowPublisher(self, CameraInfo, 'star_tracker/camera_info', latched=True)
-        truth = FlowPublisher(self, Float64MultiArray, 'truth/parameters', latched=True)
+            self, PointCloud2,
+            (topics.TRUE_CENTROIDS if self._renderer else topics.CENTROIDS).name)
+        self._attitude = FlowPublisher(self, QuaternionStamped, topics.TRUE_ATTITUDE.name)
+        info = FlowPublisher(self, CameraInfo, topics.NOMINAL_CAMERA.name, latched=True)
+        truth = FlowPublisher(self, Float64MultiArray, topics.TRUE_PARAMETERS.name, latched=True)
         info.publish(ros_messages.camera_info(
             self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
         values = self._truth.vector()

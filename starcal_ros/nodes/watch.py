@@ -22,6 +22,7 @@ from rich.live import Live
 from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray
 
+from starcal_ros.messages import topics
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.report.watch import STAR_FIELDS, STATE_SIZE, Seen, render
 
@@ -41,10 +42,10 @@ class Watch(Node):
         super().__init__('watch', **options)
         self._seen, self._heard_s = Seen(), -np.inf
         for kind, topic, take, qos in (
-                (Float64MultiArray, 'starcal/state', self._take_state, _LATCHED),
-                (PointCloud2, 'starcal/residuals', self._take_stars, _LATCHED),
-                (CameraInfo, 'starcal/camera_info', self._take_camera, _LATCHED),
-                (DiagnosticArray, 'diagnostics', self._take_diagnostics, _PASSING)):
+                (Float64MultiArray, topics.STATE.name, self._take_state, _LATCHED),
+                (PointCloud2, topics.RESIDUALS.name, self._take_stars, _LATCHED),
+                (CameraInfo, topics.CAMERA.name, self._take_camera, _LATCHED),
+                (DiagnosticArray, topics.DIAGNOSTICS.name, self._take_diagnostics, _PASSING)):
             self.create_subscription(kind, topic, take, qos)
         self._console = Console()
         if not self._console.is_terminal:

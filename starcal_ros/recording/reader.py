@@ -24,14 +24,17 @@ from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_image import IMAGE_TYPE
 from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, decode_centroids
+from starcal_ros.messages.topics import (ATTITUDE, CENTROIDS, IMAGES, IMU, RESIDUALS, SPOTS,
+                                         TRUE_CENTROIDS)
 from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
 
-GYRO_TOPIC = '/imu/data_raw'
-FRAMES_TOPIC = '/star_tracker/centroids'
-IMAGES_TOPIC = '/star_tracker/image_raw'
+GYRO_TOPIC = IMU.recorded
+FRAMES_TOPIC = CENTROIDS.recorded
+IMAGES_TOPIC = IMAGES.recorded
 CONFIG_ATTACHMENT, TRUTH_ATTACHMENT = 'config.yaml', 'truth.json'
 
-_NOT_OF_SENSORS = ('/starcal/imu', '/starcal/residuals', '/star_tracker/spots', '/truth/centroids')
+_NOT_OF_SENSORS = tuple(topic.recorded for topic in (
+    ATTITUDE, RESIDUALS, SPOTS, TRUE_CENTROIDS))
 _HASH_BYTES = 1 << 20
 
 

@@ -21,9 +21,9 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR
-from starcal_ros.messages import conventions
+from starcal_ros.messages import conventions, topics
 
-_CAMERA, _IMAGES, _IMU = 'star_tracker', '/star_tracker/image_raw', '/imu/data_raw'
+_CAMERA = 'star_tracker'
 
 
 def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
@@ -64,14 +64,15 @@ def _camchain(camera: conventions.PlumbBob, result: dict[str, Any], scenario: Sc
     offset = dict(zip(augmented['names'], augmented['estimates'])).get('tau_s', 0.0)
     return {'T_cam_imu': T_og.tolist(), 'camera_model': 'pinhole', 'distortion_model': 'radtan',
             'distortion_coeffs': camera.D[:4], 'intrinsics': [fx, fy, cx, cy],
-            'resolution': [scenario.camera.width, scenario.camera.height], 'rostopic': _IMAGES,
+            'resolution': [scenario.camera.width, scenario.camera.height],
+            'rostopic': topics.IMAGES.recorded,
             # Kalibr's t_imu = t_cam + timeshift: a frame stamped t shows the sky of t + tau
             'timeshift_cam_imu': offset}
 
 
 def _imu(result: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
     walk = scenario.estimator.process_noise.gyro_bias_deg_h_sqrt_h
-    return {'rostopic': _IMU, 'update_rate': scenario.gyro.rate_hz,
+    return {'rostopic': topics.IMU.recorded, 'update_rate': scenario.gyro.rate_hz,
             'gyroscope_noise_density': scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR,
             'gyroscope_random_walk': walk * DEG_PER_HOUR / 60.0,
             'gyroscope_bias': (np.array(result['gyro_bias_deg_h']) * DEG_PER_HOUR).tolist()}

@@ -16,6 +16,7 @@ from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Ints
+from starcal_ros.messages import topics
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME, camera_info
 from starcal_ros.recording.qos import LATCHED
@@ -59,7 +60,7 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
     variance = gyro.rate_variance
     renderer = sensors.images(scenario) if scenario.simulation.images else None
-    centroids = '/truth/centroids' if renderer else '/star_tracker/centroids'
+    centroids = topics.TRUE_CENTROIDS if renderer else topics.CENTROIDS
     batch_s = _IMAGES_BATCH_S if renderer else _BATCH_S
     with Writer(path, overwrite) as writer:
         writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
@@ -71,9 +72,9 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
         for done in range(1, batches + 1):
             samples = gyro.next(gyro.count * done // batches - gyro.next_index)
             frames = tracker.next(tracker.count * done // batches - tracker.next_index)
-            writer.write_batches(imu_batch('/imu/data_raw', samples, GYRO_FRAME, variance),
+            writer.write_batches(imu_batch(topics.IMU.recorded, samples, GYRO_FRAME, variance),
                                  *([_images(frames.stamp_ns, renderer)] if renderer else []),
-                                 centroids_batch(centroids, frames),
+                                 centroids_batch(centroids.recorded, frames),
                                  _attitude(frames.stamp_ns, truth))
             if on_progress:
                 on_progress(done / batches)
@@ -93,26 +94,25 @@ def _latched(scenario: Scenario, truth: Truth) -> list[Batch]:
         VECTOR_LABEL, len(values), len(values))
     parameters = types['std_msgs/msg/Float64MultiArray'](
         types['std_msgs/msg/MultiArrayLayout']([dimension], 0), values)
-    return [Batch(topic, type_name, np.array([start]), [serialize(type_name, message)],
-                  (LATCHED,))
-            for topic, type_name, message in (
-                ('/star_tracker/camera_info', 'sensor_msgs/msg/CameraInfo', camera),
-                ('/truth/parameters', 'std_msgs/msg/Float64MultiArray', parameters))]
+    return [Batch(topic.recorded, topic.type_name, np.array([start]),
+                  [serialize(topic.type_name, message)], (LATCHED,))
+            for topic, message in ((topics.NOMINAL_CAMERA, camera),
+                                   (topics.TRUE_PARAMETERS, parameters))]
 
 
 def _images(stamps_ns: Ints, renderer: ImageSimulator) -> Batch:
-    return Batch('/star_tracker/image_raw', IMAGE_TYPE, stamps_ns, [
+    return Batch(topics.IMAGES.recorded, IMAGE_TYPE, stamps_ns, [
         encode_image(stamp_ns, renderer.image(stamp_ns)) for stamp_ns in stamps_ns.tolist()])
 
 
 def _attitude(stamps_ns: Ints, truth: Truth) -> Batch:
-    type_name, types = 'geometry_msgs/msg/QuaternionStamped', typestore().types
+    type_name, types = topics.TRUE_ATTITUDE.type_name, typestore().types
     quaternions = rotation.to_quaternion(truth.motion.attitude(stamps_ns)).tolist()
     messages = [
         serialize(type_name, types[type_name](_header(stamp_ns, INERTIAL_FRAME),
                                               types['geometry_msgs/msg/Quaternion'](*q)))
         for stamp_ns, q in zip(stamps_ns.tolist(), quaternions)]
-    return Batch('/truth/attitude', type_name, stamps_ns, messages)
+    return Batch(topics.TRUE_ATTITUDE.recorded, type_name, stamps_ns, messages)
 
 
 def _header(stamp_ns: int, frame_id: str) -> Any:

@@ -9,6 +9,7 @@ from collections import Counter
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from starcal_ros.messages import topics
 from starcal_ros.nodes.base import run_loop
 
 _PERIOD_S = 1.0
@@ -39,7 +40,7 @@ class Tally:
         self.faults: Counter[str] = Counter()
         self._said: Counter[str] = Counter()
         # Depth 1: the newest counts are all that anybody wants, and nobody is waited for.
-        self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', 1)
+        self._publisher = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 1)
         self._timer = run_loop.steady_timer(node, _PERIOD_S, self._publish)
 
     def fault(self, kind: str, text: str) -> None:
