@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Gyro samples to and from CDR, many messages at once.
+"""Gyro samples to and from CDR, and attitudes to it, many messages at once.
 
 ::
 
@@ -17,6 +17,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.messages.cdr import (ENCAPSULATION, HEADER, Messages, by_byte_order, gather,
                                       header_stamp_ns, require)
@@ -45,21 +48,60 @@ def encode_imu(samples: GyroSamples, frame_id: str = 'gyro',
     rows : (n, size) uint8 array
         One little-endian message a row.
     """
-    name = frame_id.encode() + b'\0'
-    padded = -(-(HEADER.itemsize + len(name)) // 8) * 8 - HEADER.itemsize
-    dtype = np.dtype([('encapsulation', 'u1', ENCAPSULATION), ('sec', '<i4'), ('nanosec', '<u4'),
-                      ('length', '<u4'), ('name', f'S{padded}'),
-                      ('numbers', '<f8', _IMU_NUMBERS)])
-    rows = np.zeros(len(samples), dtype)
-    rows['encapsulation'][:, 1] = 1
-    rows['sec'], rows['nanosec'] = np.divmod(samples.stamp_ns, 10**9)
-    rows['length'], rows['name'] = len(name), name
+    rows = _rows(samples.stamp_ns, frame_id)
     numbers = rows['numbers']
     numbers[:, _ORIENTATION_W] = 1.0
     numbers[:, [_ORIENTATION_COVARIANCE, _ACCELERATION_COVARIANCE]] = -1.0
     numbers[:, _RATE:_RATE + 3] = samples.rate
     numbers[:, _RATE_COVARIANCE:_RATE_COVARIANCE + 9:4] = angular_velocity_variance
-    return rows.view(np.uint8).reshape(len(samples), dtype.itemsize)
+    return _bytes(rows)
+
+
+def encode_attitudes(track: AttitudeTrack, rate_covariance: Array, frame_id: str = 'gyro'
+                     ) -> NDArray[np.uint8]:
+    """Encode attitudes at gyro stamps as sensor_msgs/Imu without acceleration (REP-145).
+
+    Parameters
+    ----------
+    track : AttitudeTrack
+        n attitudes; their covariance is about the axes of i.
+    rate_covariance : (3, 3) array
+        Of each angular velocity, about the axes of g [(rad/s)^2].
+    frame_id : str
+        Name of the gyro frame.
+
+    Returns
+    -------
+    rows : (n, size) uint8 array
+        One little-endian message a row.
+    """
+    rows = _rows(track.stamp_ns, frame_id)
+    numbers, n = rows['numbers'], len(rows)
+    numbers[:, :_ORIENTATION_COVARIANCE] = rotation.to_quaternion(
+        np.swapaxes(track.C_gi, -1, -2))
+    numbers[:, _ORIENTATION_COVARIANCE:_RATE] = track.covariance.reshape(n, 9)
+    numbers[:, _RATE:_RATE_COVARIANCE] = track.rate
+    numbers[:, _RATE_COVARIANCE:_RATE_COVARIANCE + 9] = rate_covariance.ravel()
+    numbers[:, _ACCELERATION_COVARIANCE] = -1.0
+    return _bytes(rows)
+
+
+def _rows(stamp_ns: Ints, frame_id: str) -> NDArray[np.void]:
+    """Return messages of which all but the header is zero."""
+    name = frame_id.encode() + b'\0'
+    padded = -(-(HEADER.itemsize + len(name)) // 8) * 8 - HEADER.itemsize
+    dtype = np.dtype([('encapsulation', 'u1', ENCAPSULATION), ('sec', '<i4'), ('nanosec', '<u4'),
+                      ('length', '<u4'), ('name', f'S{padded}'),
+                      ('numbers', '<f8', _IMU_NUMBERS)])
+    rows = np.zeros(len(stamp_ns), dtype)
+    rows['encapsulation'][:, 1] = 1
+    rows['sec'], rows['nanosec'] = np.divmod(stamp_ns, 10**9)
+    rows['length'], rows['name'] = len(name), name
+    return rows
+
+
+def _bytes(rows: NDArray[np.void]) -> NDArray[np.uint8]:
+    return rows.view(np.uint8).reshape(len(rows), rows.dtype.itemsize)
 
 
 def decode_imu(messages: Messages) -> GyroSamples:

@@ -5,21 +5,16 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
-from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.calibrator import Calibrator, FrameResult
-from starcal_ros.messages import topics
-from starcal_ros.nodes.base import ros_messages
+from starcal_ros.messages import cdr_imu, topics
+from starcal_ros.messages.conventions import GYRO_FRAME
+from starcal_ros.messages.topics import Topic
 from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:             # not among PyPI's packages of ROS 2; every distribution has it
-    TFMessage = None
+from starcal_ros.nodes.base.qos import message_type
+from starcal_ros.nodes.base.ros_messages import CONTENTS
 
 _DRAIN_S = 6.0          # for the last results; acknowledgements may take 3 s
 
@@ -36,40 +31,41 @@ class Results:
     def __init__(self, node: Node) -> None:
         self._node = node
         self.publishers: list[FlowPublisher] = []
-        self._imu = self._publisher(Imu, topics.ATTITUDE.name, latched=False)
-        self._state = self._publisher(Float64MultiArray, topics.STATE.name)
-        self._camera = self._publisher(CameraInfo, topics.CAMERA.name)
-        self._bias = self._publisher(TwistWithCovarianceStamped, topics.GYRO_BIAS.name)
-        self._mounting = self._publisher(PoseWithCovarianceStamped, topics.MOUNTING.name)
-        self._residuals = self._publisher(PointCloud2, topics.RESIDUALS.name)
-        self._transform = TFMessage and self._publisher(TFMessage, topics.TRANSFORM.name)
-        self._diagnostics = self._publisher(DiagnosticArray, topics.DIAGNOSTICS.name,
-                                            latched=False)
+        self._attitude = self._publisher(topics.ATTITUDE)
+        self._state = self._publisher(topics.STATE)
+        self._camera = self._publisher(topics.CAMERA)
+        self._bias = self._publisher(topics.GYRO_BIAS)
+        self._mounting = self._publisher(topics.MOUNTING)
+        self._residuals = self._publisher(topics.RESIDUALS)
+        # tf2_msgs is not among PyPI's packages of ROS 2; every distribution has it.
+        self._transforms = message_type(topics.TRANSFORM.type_name)
+        self._transform = self._transforms and self._publisher(topics.TRANSFORM)
+        self._diagnostics = self._publisher(topics.DIAGNOSTICS)
 
-    def _publisher(self, kind: type, topic: str, latched: bool = True) -> FlowPublisher:
-        publisher = FlowPublisher(self._node, kind, topic, latched=latched,
-                                  patience_s=PATIENCE_S)
+    def _publisher(self, topic: Topic) -> FlowPublisher:
+        publisher = FlowPublisher(self._node, message_type(topic.type_name), topic.name,
+                                  latched=topic.latched, patience_s=PATIENCE_S)
         self.publishers.append(publisher)
         return publisher
 
     def publish_track(self, calibrator: Calibrator, track: AttitudeTrack) -> None:
         """Publish the attitude and the rate at gyro stamps."""
-        for message in ros_messages.imus(track, calibrator.rate_covariance):
-            self._imu.publish(message)
+        for row in cdr_imu.encode_attitudes(track, calibrator.rate_covariance, GYRO_FRAME):
+            self._attitude.publish(row.tobytes())
 
     def publish_frame(self, calibrator: Calibrator, frame: FrameResult) -> None:
         """Publish what a frame gave."""
         stamp_ns, belief = frame.stamp_ns, frame.belief
-        covariance = belief.covariance
-        self._state.publish(ros_messages.state(stamp_ns, belief))
-        self._camera.publish(ros_messages.camera_info(
-            stamp_ns, belief.estimate.intrinsics, calibrator.filter.detector))
-        self._bias.publish(ros_messages.gyro_bias(stamp_ns, belief, covariance))
-        self._mounting.publish(ros_messages.mounting(stamp_ns, belief, covariance))
+        estimate, covariance = belief.estimate, belief.covariance
+        self._state.publish(CONTENTS.state(stamp_ns, belief))
+        self._camera.publish(CONTENTS.camera_info(
+            stamp_ns, estimate.intrinsics, calibrator.filter.detector))
+        self._bias.publish(CONTENTS.gyro_bias(stamp_ns, estimate.bias, covariance))
+        self._mounting.publish(CONTENTS.mounting(stamp_ns, estimate.C_sg, covariance))
         if self._transform:
-            self._transform.publish(TFMessage(
-                transforms=[ros_messages.mounting_transform(stamp_ns, belief)]))
-        self._residuals.publish(ros_messages.residuals(frame))
+            self._transform.publish(self._transforms(
+                transforms=[CONTENTS.transform(stamp_ns, estimate.C_sg)]))
+        self._residuals.publish(CONTENTS.residuals(frame))
 
     def publish_diagnostics(self, message: DiagnosticArray) -> None:
         """Publish how the estimator is."""

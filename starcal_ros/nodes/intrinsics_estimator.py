@@ -18,11 +18,12 @@ from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
-from starcal_ros.nodes.base import ros_messages, run_loop
+from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, drain
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
+from starcal_ros.nodes.base.ros_messages import CONTENTS
 
 _PERIOD_S = 1.0
 _SHARE = 0.2            # of the time that may go into answers
@@ -94,9 +95,9 @@ class IntrinsicsEstimator(ManagedNode):
         for text in self._method.take_notices():
             self.get_logger().warning(text)
         if estimate is not None:
-            self._camera.publish(ros_messages.camera_info(
+            self._camera.publish(CONTENTS.camera_info(
                 self._stamp_ns, estimate.intrinsics, self._detector))
-            self._state.publish(ros_messages.intrinsics(self._stamp_ns, estimate))
+            self._state.publish(CONTENTS.intrinsics(self._stamp_ns, estimate))
         ended = perf_counter()
         self._not_before = ended + (ended - begun) * (1.0 / _SHARE - 1.0)
 

@@ -18,9 +18,10 @@ from std_msgs.msg import Float64MultiArray
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages import cdr_image, cdr_pointcloud, topics
-from starcal_ros.nodes.base import parameters, ros_messages, run_loop
+from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
+from starcal_ros.nodes.base.ros_messages import CONTENTS
 from starcal_ros.nodes.base.simulator import Simulator
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import VECTOR_LABEL
@@ -49,10 +50,10 @@ class StarTrackerSim(Simulator):
         self._attitude = FlowPublisher(self, QuaternionStamped, topics.TRUE_ATTITUDE.name)
         info = FlowPublisher(self, CameraInfo, topics.NOMINAL_CAMERA.name, latched=True)
         truth = FlowPublisher(self, Float64MultiArray, topics.TRUE_PARAMETERS.name, latched=True)
-        info.publish(ros_messages.camera_info(
+        info.publish(CONTENTS.camera_info(
             self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
         values = self._truth.vector()
-        truth.publish(ros_messages.labelled([(VECTOR_LABEL, len(values))], values))
+        truth.publish(CONTENTS.labelled([(VECTOR_LABEL, len(values))], values))
         self.begin(scenario.simulation, self._images or self._centroids, self._items())
 
     def _items(self) -> Iterator[Item]:
@@ -64,7 +65,7 @@ class StarTrackerSim(Simulator):
                     yield stamp_ns, self._images, cdr_image.encode_image(
                         stamp_ns, self._renderer.image(stamp_ns))
                 yield stamp_ns, self._centroids, message
-                yield stamp_ns, self._attitude, ros_messages.attitude(stamp_ns, C_ig)
+                yield stamp_ns, self._attitude, CONTENTS.attitude(stamp_ns, C_ig)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -7,18 +7,17 @@ from __future__ import annotations
 from collections.abc import Callable
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Ints
 from starcal_ros.messages import topics
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
-from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME, camera_info
+from starcal_ros.messages.contents import Contents, Types
+from starcal_ros.messages.conventions import GYRO_FRAME
 from starcal_ros.recording.qos import LATCHED
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
@@ -26,6 +25,9 @@ from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_ba
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.render import ImageSimulator
 from starcal_ros.simulation.truth import VECTOR_LABEL, Truth
+
+CONTENTS = Contents(Types(lambda name: typestore().types[name], lambda values: values))
+"""Makes messages that `serialize` takes."""
 
 _BATCH_S = 60.0             # simulated seconds written at once
 _IMAGES_BATCH_S = 2.0       # the same, where a frame takes megabytes
@@ -81,19 +83,9 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
 
 
 def _latched(scenario: Scenario, truth: Truth) -> list[Batch]:
-    types = typestore().types
-    start, detector_ = truth.motion.start_ns, truth.detector
-    info = camera_info(intrinsics(scenario.camera), detector(scenario.camera))
-    camera = types['sensor_msgs/msg/CameraInfo'](
-        header=_header(start, OPTICAL_FRAME), height=detector_.height, width=detector_.width,
-        distortion_model='plumb_bob', d=np.array(info.D), k=np.array(info.K),
-        r=np.eye(3).ravel(), p=np.array(info.P), binning_x=0, binning_y=0,
-        roi=types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False))
-    values = truth.vector()
-    dimension = types['std_msgs/msg/MultiArrayDimension'](
-        VECTOR_LABEL, len(values), len(values))
-    parameters = types['std_msgs/msg/Float64MultiArray'](
-        types['std_msgs/msg/MultiArrayLayout']([dimension], 0), values)
+    start, values = truth.motion.start_ns, truth.vector()
+    camera = CONTENTS.camera_info(start, intrinsics(scenario.camera), detector(scenario.camera))
+    parameters = CONTENTS.labelled([(VECTOR_LABEL, len(values))], values)
     return [Batch(topic.recorded, topic.type_name, np.array([start]),
                   [serialize(topic.type_name, message)], (LATCHED,))
             for topic, message in ((topics.NOMINAL_CAMERA, camera),
@@ -106,16 +98,7 @@ def _images(stamps_ns: Ints, renderer: ImageSimulator) -> Batch:
 
 
 def _attitude(stamps_ns: Ints, truth: Truth) -> Batch:
-    type_name, types = topics.TRUE_ATTITUDE.type_name, typestore().types
-    quaternions = rotation.to_quaternion(truth.motion.attitude(stamps_ns)).tolist()
-    messages = [
-        serialize(type_name, types[type_name](_header(stamp_ns, INERTIAL_FRAME),
-                                              types['geometry_msgs/msg/Quaternion'](*q)))
-        for stamp_ns, q in zip(stamps_ns.tolist(), quaternions)]
+    type_name = topics.TRUE_ATTITUDE.type_name
+    messages = [serialize(type_name, CONTENTS.attitude(stamp_ns, C_ig)) for stamp_ns, C_ig in zip(
+        stamps_ns.tolist(), truth.motion.attitude(stamps_ns))]
     return Batch(topics.TRUE_ATTITUDE.recorded, type_name, stamps_ns, messages)
-
-
-def _header(stamp_ns: int, frame_id: str) -> Any:
-    types = typestore().types
-    stamp = types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 10**9))
-    return types['std_msgs/msg/Header'](stamp, frame_id)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 
 from rclpy.node import Node
@@ -22,6 +23,7 @@ POLICIES = {QoSPolicyKind.DURABILITY: 'durability: the last messages for who com
 """What is missed where the two sides do not match, in words."""
 
 
+@cache
 def message_type(type_name: str) -> type | None:
     """Return the class of a message type, None where its package is not installed."""
     package, _, name = type_name.partition('/msg/')

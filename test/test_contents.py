@@ -1,0 +1,100 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages have the same contents, whether of rclpy's classes or of those of recordings."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.core import rotation  # noqa: E402
+from starcal_ros.core.camera import Detector  # noqa: E402
+from starcal_ros.core.camera_estimate import CameraEstimate  # noqa: E402
+from starcal_ros.filter.attitude_track import AttitudeTrack  # noqa: E402
+from starcal_ros.filter.calibrator import Calibrator  # noqa: E402
+from starcal_ros.messages import cdr_imu, topics  # noqa: E402
+from starcal_ros.nodes.base.qos import message_type  # noqa: E402
+from starcal_ros.nodes.base.ros_messages import CONTENTS as LIVE  # noqa: E402
+from starcal_ros.recording.writer import serialize, typestore  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
+from starcal_ros.simulation.write_recording import CONTENTS as RECORDED  # noqa: E402
+
+SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
+    {'simulation.duration_s': 20.0})
+STAMP_NS = 1_782_993_600_123_456_789
+RNG = np.random.default_rng(5)
+C = rotation.exp(RNG.standard_normal(3))
+SIGMAS = RNG.standard_normal((16, 16))
+CAMERA = np.array([3.2, -4.1, 50.0, 1e-4, 2e-7, -3e-6, 4e-6])
+
+
+@pytest.fixture(scope='module')
+def frame():
+    """Return what the last frame of a run gave, one of its stars without a place."""
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    frames = tracker.next(tracker.count)
+    frames.catalog_id[-1] = 0
+    calibrator = Calibrator(SCENARIO)
+    calibrator.add_gyro(gyro.next(gyro.count))
+    calibrator.add_frames(frames)
+    *_, last = calibrator.process()
+    assert 0 < np.isfinite(last.chi2).sum() < len(last.chi2)
+    return last
+
+
+def plain(type_name, cdr):
+    """Return CDR with the bytes between its fields zero, which the middleware leaves as found."""
+    return serialize(type_name, typestore().deserialize_cdr(cdr, type_name))
+
+
+@pytest.mark.parametrize('type_name, make', [
+    (topics.CAMERA.type_name,
+     lambda c, _: c.camera_info(STAMP_NS, CAMERA, Detector(1024, 768, 0.015))),
+    (topics.GYRO_BIAS.type_name,
+     lambda c, _: c.gyro_bias(STAMP_NS, CAMERA[:3], SIGMAS @ SIGMAS.T)),
+    (topics.MOUNTING.type_name, lambda c, _: c.mounting(STAMP_NS, C, SIGMAS @ SIGMAS.T)),
+    ('geometry_msgs/msg/TransformStamped', lambda c, _: c.transform(STAMP_NS, C)),
+    (topics.TRUE_PARAMETERS.type_name, lambda c, _: c.labelled([('a', 2), ('b', 5)], CAMERA)),
+    (topics.STATE.type_name, lambda c, frame: c.state(STAMP_NS, frame.belief)),
+    (topics.INTRINSICS_STATE.type_name, lambda c, _: c.intrinsics(
+        STAMP_NS, CameraEstimate(CAMERA, SIGMAS[:7, :7], 3, 30))),
+    (topics.RESIDUALS.type_name, lambda c, frame: c.residuals(frame)),
+    (topics.TRUE_ATTITUDE.type_name, lambda c, _: c.attitude(STAMP_NS, C)),
+])
+def test_live_and_recorded_messages_are_the_same_bytes(type_name, make, frame):
+    recorded = serialize(type_name, make(RECORDED, frame))
+    assert plain(type_name, serialize_message(make(LIVE, frame))) == recorded
+
+
+def test_residuals_leave_out_stars_without_a_place(frame):
+    message = LIVE.residuals(frame)
+    assert message.width == np.isfinite(frame.chi2).sum()
+    assert len(message.data) == message.row_step == message.width * message.point_step
+
+
+def test_attitudes_are_read_as_they_were_written():
+    n = 3
+    roots = RNG.standard_normal((n, 3, 3))
+    track = AttitudeTrack(STAMP_NS + np.arange(n), rotation.exp(RNG.standard_normal((n, 3))),
+                          roots @ np.swapaxes(roots, 1, 2), RNG.standard_normal((n, 3)))
+    for k, row in enumerate(cdr_imu.encode_attitudes(track, SIGMAS[:3, :3])):
+        message = deserialize_message(row.tobytes(), message_type(topics.ATTITUDE.type_name))
+        assert plain(topics.ATTITUDE.type_name, serialize_message(message)) == row.tobytes()
+        stamp, q, rate = message.header.stamp, message.orientation, message.angular_velocity
+        assert (stamp.sec * 10**9 + stamp.nanosec, message.header.frame_id) == (
+            track.stamp_ns[k], 'gyro')
+        np.testing.assert_allclose(rotation.to_matrix(np.array([q.x, q.y, q.z, q.w])),
+                                   track.C_gi[k].T, atol=1e-12)
+        np.testing.assert_array_equal([rate.x, rate.y, rate.z], track.rate[k])
+        np.testing.assert_array_equal(message.orientation_covariance, track.covariance[k].ravel())
+        np.testing.assert_array_equal(message.angular_velocity_covariance, SIGMAS[:3, :3].ravel())
+        assert message.linear_acceleration_covariance.tolist() == [-1.0] + 8 * [0.0]
+
+
+def test_no_attitude_is_no_message():
+    assert not len(cdr_imu.encode_attitudes(AttitudeTrack.empty(), np.eye(3)))
