@@ -6,19 +6,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from sensor_msgs.msg import Image, PointCloud2
-
 from starcal_ros.imaging.spot_meter import SpotMeter
 from starcal_ros.messages import cdr_pointcloud, topics
 from starcal_ros.messages.cdr_image import ImageMessageError, decode_image
 from starcal_ros.nodes.base import run_loop
-from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.base.tally import Tally
 
 _AT_ONCE = 4            # images: each has a megapixel and takes some 30 ms
-_DRAIN_S = 6.0
 
 
 class CentroidExtractor(ManagedNode):
@@ -32,33 +27,19 @@ class CentroidExtractor(ManagedNode):
     def configure(self) -> None:
         """Prepare the measurement and its publisher."""
         self._meter = SpotMeter(self.scenario)
-        self._spots = FlowPublisher(self, PointCloud2, topics.SPOTS.name, patience_s=PATIENCE_S)
+        self._spots = self.offer(topics.SPOTS)
 
     def activate(self) -> None:
         """Listen to the images, as soon as the spots have the listeners they must have."""
         self._tally = Tally(self, 'centroids')
-        self._images: MatchedSubscription | None = None
-        self._waiting = when_subscribed(
-            self, [self._spots], self.scenario.centroid_extractor.wait_for_subscribers,
-            self._listen)
+        self.when_heard(self.scenario.centroid_extractor.wait_for_subscribers, self._listen)
 
     def _listen(self) -> None:
-        self._images = MatchedSubscription(self, Image, topics.IMAGES.name, self._on_images,
-                                           raw=True, at_once=_AT_ONCE)
+        self.listen(topics.IMAGES, self._on_images, at_once=_AT_ONCE)
 
     def deactivate(self) -> None:
-        """Use up what has arrived."""
-        if self._images is None:
-            run_loop.end_timer(self, self._waiting)
-        else:
-            self._images.take_all()
-            self._images.destroy()
+        """Say what was done."""
         self._tally.end()
-
-    def cleanup(self) -> None:
-        """Deliver the last spots."""
-        drain([self._spots], _DRAIN_S)
-        self._spots.destroy()
 
     def _on_images(self, batch: list[bytes]) -> None:
         for message in batch:

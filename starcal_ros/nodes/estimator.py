@@ -8,7 +8,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from sensor_msgs.msg import Imu, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from starcal_ros import __version__
@@ -17,9 +16,7 @@ from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
-from starcal_ros.nodes.base.flow_publisher import when_subscribed
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
 from starcal_ros.nodes.estimator_results import Results
 from starcal_ros.results import initial, result
@@ -36,7 +33,6 @@ class Estimator(ManagedNode):
                          'estimator', **options)
         parameters.follow(self, self.scenario, self._change)
         self._calibrator: Calibrator | None = None
-        self.inputs: list[MatchedSubscription] = []
         self.start()
 
     # Lifecycle
@@ -57,34 +53,21 @@ class Estimator(ManagedNode):
     def activate(self) -> None:
         """Listen to the sensors, as soon as the results have the listeners they must have."""
         self._diagnostics = Diagnostics(self, self.inputs)
-        self._timers_running = [
-            run_loop.steady_timer(self, _DIAGNOSTICS_S, self._publish_diagnostics),
-            when_subscribed(self, self._results.publishers,
-                            self.scenario.estimator.wait_for_subscribers, self._listen)]
+        self.repeat(_DIAGNOSTICS_S, self._publish_diagnostics)
+        self.when_heard(self.scenario.estimator.wait_for_subscribers, self._listen)
 
     def _listen(self) -> None:
-        self._timers_running.pop()      # has ended itself
-        self.inputs += [
-            MatchedSubscription(self, Imu, topics.IMU.name, self._on_gyro, raw=True),
-            MatchedSubscription(self, PointCloud2, topics.CENTROIDS.name, self._on_frames,
-                                raw=True)]
+        self.listen(topics.IMU, self._on_gyro)
+        self.listen(topics.CENTROIDS, self._on_frames)
 
     def deactivate(self) -> None:
-        """Use up what has arrived and say where the calibration stands."""
-        for timer in self._timers_running:
-            run_loop.end_timer(self, timer)
-        for subscription in self.inputs:
-            subscription.take_all()
+        """Say where the calibration stands."""
         self._publish_diagnostics()
-        for subscription in self.inputs:
-            subscription.destroy()
-        self.inputs.clear()
 
     def cleanup(self) -> None:
-        """Deliver the results and forget the calibration."""
+        """Forget the calibration."""
         for server in self._servers:
             self.destroy_service(server)
-        self._results.destroy()
         self._calibrator = None
 
     # Messages

@@ -5,48 +5,30 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 
 from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.calibrator import Calibrator, FrameResult
 from starcal_ros.messages import cdr_imu, topics
 from starcal_ros.messages.conventions import GYRO_FRAME
-from starcal_ros.messages.topics import Topic
-from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain
+from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.nodes.base.ros_messages import CONTENTS
 
-_DRAIN_S = 6.0          # for the last results; acknowledgements may take 3 s
-
 
 class Results:
-    """The publishers of the estimator.
+    """The publishers of the estimator, as those of a managed node."""
 
-    Attributes
-    ----------
-    publishers : list of FlowPublisher
-        All of them.
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self.publishers: list[FlowPublisher] = []
-        self._attitude = self._publisher(topics.ATTITUDE)
-        self._state = self._publisher(topics.STATE)
-        self._camera = self._publisher(topics.CAMERA)
-        self._bias = self._publisher(topics.GYRO_BIAS)
-        self._mounting = self._publisher(topics.MOUNTING)
-        self._residuals = self._publisher(topics.RESIDUALS)
+    def __init__(self, node: ManagedNode) -> None:
+        self._attitude = node.offer(topics.ATTITUDE)
+        self._state = node.offer(topics.STATE)
+        self._camera = node.offer(topics.CAMERA)
+        self._bias = node.offer(topics.GYRO_BIAS)
+        self._mounting = node.offer(topics.MOUNTING)
+        self._residuals = node.offer(topics.RESIDUALS)
         # tf2_msgs is not among PyPI's packages of ROS 2; every distribution has it.
         self._transforms = message_type(topics.TRANSFORM.type_name)
-        self._transform = self._transforms and self._publisher(topics.TRANSFORM)
-        self._diagnostics = self._publisher(topics.DIAGNOSTICS)
-
-    def _publisher(self, topic: Topic) -> FlowPublisher:
-        publisher = FlowPublisher(self._node, message_type(topic.type_name), topic.name,
-                                  latched=topic.latched, patience_s=PATIENCE_S)
-        self.publishers.append(publisher)
-        return publisher
+        self._transform = self._transforms and node.offer(topics.TRANSFORM)
+        self._diagnostics = node.offer(topics.DIAGNOSTICS)
 
     def publish_track(self, calibrator: Calibrator, track: AttitudeTrack) -> None:
         """Publish the attitude and the rate at gyro stamps."""
@@ -70,9 +52,3 @@ class Results:
     def publish_diagnostics(self, message: DiagnosticArray) -> None:
         """Publish how the estimator is."""
         self._diagnostics.publish(message)
-
-    def destroy(self) -> None:
-        """End the publishers when all is delivered, or after some seconds."""
-        drain(self.publishers, _DRAIN_S)
-        for publisher in self.publishers:
-            publisher.destroy()

@@ -11,23 +11,17 @@ from __future__ import annotations
 from time import perf_counter
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, Imu, PointCloud2
-from std_msgs.msg import Float64MultiArray
-
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
-from starcal_ros.nodes.base.flow_publisher import FlowPublisher, drain
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.base.ros_messages import CONTENTS
 
 _PERIOD_S = 1.0
 _SHARE = 0.2            # of the time that may go into answers
-_DRAIN_S = 6.0
 
 
 class IntrinsicsEstimator(ManagedNode):
@@ -43,32 +37,18 @@ class IntrinsicsEstimator(ManagedNode):
         self._method = calibration.start(self.scenario)
         self._detector = detector(self.scenario.camera)
         self._stamp_ns, self._dirty, self._not_before = 0, False, 0.0
-        self._camera = FlowPublisher(self, CameraInfo, topics.INTRINSICS_CAMERA.name,
-                                     latched=True)
-        self._state = FlowPublisher(self, Float64MultiArray, topics.INTRINSICS_STATE.name,
-                                    latched=True)
+        self._camera = self.offer(topics.INTRINSICS_CAMERA)
+        self._state = self.offer(topics.INTRINSICS_STATE)
 
     def activate(self) -> None:
         """Listen to the sensors."""
-        self._inputs = [
-            MatchedSubscription(self, Imu, topics.IMU.name, self._on_gyro, raw=True),
-            MatchedSubscription(self, PointCloud2, topics.CENTROIDS.name, self._on_frames,
-                                raw=True)]
-        self._timer = run_loop.steady_timer(self, _PERIOD_S, self._answer_in_time)
+        self.listen(topics.IMU, self._on_gyro)
+        self.listen(topics.CENTROIDS, self._on_frames)
+        self.repeat(_PERIOD_S, self._answer_in_time)
 
     def deactivate(self) -> None:
-        """Use up what has arrived and give the last answer."""
-        self.destroy_timer(self._timer)
-        for subscription in self._inputs:
-            subscription.take_all()
-            subscription.destroy()
+        """Give the last answer."""
         self._answer()
-
-    def cleanup(self) -> None:
-        """Deliver the results and forget the calibration."""
-        drain([self._camera, self._state], _DRAIN_S)
-        for publisher in (self._camera, self._state):
-            publisher.destroy()
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         for part in decoded(batch, cdr_imu.decode_imu, self.get_logger().error):

@@ -23,10 +23,9 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config import parameter_file
-from starcal_ros.messages.topics import DIAGNOSTICS, TOPICS, TRUE_PARAMETERS
+from starcal_ros.messages.topics import DIAGNOSTICS, TOPICS, TRUE_PARAMETERS, Topic
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.base.qos import LATCHED, is_stamped, message_type, offered_qos
 from starcal_ros.recording.qos import Qos
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
@@ -47,7 +46,6 @@ class _Channel:
     latched: bool
     stamped: bool
     source: str             # topics of one source run by one clock
-    subscription: MatchedSubscription | None = None
     qos: tuple[Qos, ...] = ()
     newest_ns: int = 0
     is_ahead: bool = False          # the last stamp, far, and not believed
@@ -74,12 +72,6 @@ class Recorder(ManagedNode):
         self._channels: dict[str, _Channel] = {}
         self.start()
 
-    @property
-    def inputs(self) -> list[MatchedSubscription]:
-        """Return the subscriptions."""
-        return [channel.subscription for channel in self._channels.values()
-                if channel.subscription]
-
     def configure(self) -> None:
         """Make the file."""
         options = self.scenario.recorder
@@ -97,21 +89,13 @@ class Recorder(ManagedNode):
         self._searched = {name for name in self._wanted if name not in self._known}
         for name in self._wanted:
             if topic := self._known.get(name):
-                self._subscribe(name, topic.type_name, topic.latched,
-                                'estimator' if topic.result else '')
-        self._timers_running = [run_loop.steady_timer(self, _FLUSH_S, self._flush),
-                                run_loop.steady_timer(self, _SEARCH_S, self._search)]
+                self._subscribe(topic._replace(name=name), 'estimator' if topic.result else '')
+        self.repeat(_FLUSH_S, self._flush)
+        self.repeat(_SEARCH_S, self._search)
         self.get_logger().info(f'recording to {self._writer.path}')
 
     def deactivate(self) -> None:
-        """Write what has arrived and subscribe to nothing."""
-        for timer in self._timers_running:
-            run_loop.end_timer(self, timer)
-        for channel in self._channels.values():
-            if channel.subscription:
-                channel.subscription.take_all()
-                channel.subscription.destroy()
-                channel.subscription = None
+        """Write what has arrived."""
         self._flush()
 
     def cleanup(self) -> None:
@@ -132,18 +116,17 @@ class Recorder(ManagedNode):
             text = json.dumps(from_vector(values), indent=1)
             self._writer.attach(TRUTH_ATTACHMENT, text.encode(), 'application/json')
 
-    def _subscribe(self, name: str, type_name: str, latched: bool, source: str = '') -> None:
-        kind = message_type(type_name)
+    def _subscribe(self, topic: Topic, source: str = '') -> None:
+        name, kind = topic.name, message_type(topic.type_name)
         if kind is None:
-            self.get_logger().debug(f'{name} is not recorded: {type_name} is not installed')
+            self.get_logger().debug(f'{name} is not recorded: {topic.type_name} is not installed')
             return
         # The stamp of diagnostics is the wall clock, also in a simulated run.
         stamped = is_stamped(kind) and not name.endswith(DIAGNOSTICS.name)
         channel = self._channels.setdefault(name, _Channel(
-            type_name, latched, stamped, source or name.rsplit('/', 1)[0]))
-        channel.known = set(channel.latest) if latched else set()
-        channel.subscription = MatchedSubscription(
-            self, kind, name, lambda batch: self._take(channel, batch), latched=latched, raw=True)
+            topic.type_name, topic.latched, stamped, source or name.rsplit('/', 1)[0]))
+        channel.known = set(channel.latest) if topic.latched else set()
+        self.listen(topic, lambda batch: self._take(channel, batch))
 
     def _search(self) -> None:
         """Subscribe to the topics whose type only the graph knows, when it does."""
@@ -152,7 +135,7 @@ class Recorder(ManagedNode):
             latched = any(info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
                           for info in self.get_publishers_info_by_topic(name))
             self._searched.remove(name)
-            self._subscribe(name, types[name][0], latched)
+            self._subscribe(Topic(name, types[name][0], latched))
 
     def _take(self, channel: _Channel, batch: list[bytes]) -> None:
         if channel.known:           # a latched message comes once more to who subscribes again

@@ -13,22 +13,17 @@ from itertools import islice
 import time
 from typing import Any, NamedTuple
 
-from sensor_msgs.msg import Imu, PointCloud2
-
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core.arrays import Ints
 from starcal_ros.identification.frame_identifier import FrameIdentifier
 from starcal_ros.messages import cdr, cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
-from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 from starcal_ros.nodes.base.tally import Tally
 
 _PATIENCE_S = 4.0       # of a frame, with the gyro: Fast DDS sends again what it lost after 3 s
 _LOOK_S = 0.1
-_DRAIN_S = 6.0
 
 
 class _Waiting(NamedTuple):
@@ -44,7 +39,6 @@ class StarIdentifier(ManagedNode):
     def __init__(self, **options: Any) -> None:
         super().__init__('star_identifier', 'camera', 'mounting', 'gyro', 'star_tracker',
                          'observer', 'estimator', 'intrinsics', 'star_identifier', **options)
-        self.inputs: list[MatchedSubscription] = []
         self.start()
 
     def configure(self) -> None:
@@ -54,39 +48,22 @@ class StarIdentifier(ManagedNode):
         except (ImportError, ValueError) as error:
             raise ConfigError(str(error)) from None
         self._waiting: deque[_Waiting] = deque()
-        self._stars = FlowPublisher(self, PointCloud2, topics.CENTROIDS.name,
-                                    patience_s=PATIENCE_S)
+        self._stars = self.offer(topics.CENTROIDS)
 
     def activate(self) -> None:
         """Listen, as soon as the numbered frames have the listeners they must have."""
         self._tally = Tally(self, 'identification')
-        self._timers_running = [
-            run_loop.steady_timer(self, _LOOK_S, self._advance),
-            when_subscribed(self, [self._stars],
-                            self.scenario.star_identifier.wait_for_subscribers, self._listen)]
+        self.repeat(_LOOK_S, self._advance)
+        self.when_heard(self.scenario.star_identifier.wait_for_subscribers, self._listen)
 
     def _listen(self) -> None:
-        self._timers_running.pop()      # has ended itself
-        self.inputs += [
-            MatchedSubscription(self, Imu, topics.IMU.name, self._on_gyro, raw=True),
-            MatchedSubscription(self, PointCloud2, topics.SPOTS.name, self._on_spots, raw=True)]
+        self.listen(topics.IMU, self._on_gyro)
+        self.listen(topics.SPOTS, self._on_spots)
 
     def deactivate(self) -> None:
-        """Use up what has arrived; frames that wait go without the readings they wait for."""
-        for timer in self._timers_running:
-            run_loop.end_timer(self, timer)
-        for subscription in self.inputs:
-            subscription.take_all()
+        """Let frames that wait go without the readings they wait for; say what was done."""
         self._publish(self._identifier.process(wait=False))
-        for subscription in self.inputs:
-            subscription.destroy()
-        self.inputs.clear()
         self._tally.end()
-
-    def cleanup(self) -> None:
-        """Deliver the last frames and forget the attitude."""
-        drain([self._stars], _DRAIN_S)
-        self._stars.destroy()
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         for part in decoded(batch, cdr_imu.decode_imu, self._drop):

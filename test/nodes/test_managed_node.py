@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimator and recorder as managed nodes, both in one process, led from outside."""
+"""Managed nodes led from outside; estimator and recorder both in one process."""
 
 import signal
 import subprocess
@@ -15,6 +15,7 @@ from lifecycle_msgs.msg import Transition, TransitionEvent  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.qos import LivelinessPolicy, QoSProfile  # noqa: E402
+from sensor_msgs.msg import Imu  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
 import yaml  # noqa: E402
 
@@ -22,7 +23,8 @@ from instruments import CONFIG, TAN2018  # noqa: E402
 from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
-from starcal_ros.messages import conventions  # noqa: E402
+from starcal_ros.messages import conventions, topics  # noqa: E402
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
@@ -167,6 +169,42 @@ def test_signal_ends_a_node_that_was_never_configured(start_once, peer):
     assert state(peer, 'waiting') == 'unconfigured'
     recorder.send_signal(signal.SIGINT)
     assert recorder.wait(PATIENCE_S) == 0
+
+
+@pytest.mark.parametrize('name, topic', [
+    ('recorder', topics.IMU), ('estimator', topics.IMU), ('centroid_extractor', topics.IMAGES),
+    ('star_identifier', topics.SPOTS), ('intrinsics_estimator', topics.IMU)])
+def test_running_node_is_deactivated_and_activated_again(start_once, peer, name, topic, tmp_path):
+    """The transition ends the subscriptions that the loop is about to look at."""
+    process = start_once(name, '--params-file', str(CONFIG), '-r', f'__node:=again_{name}',
+                         '-r', '__ns:=/again', '-p', f'recorder.output:={tmp_path}/run.mcap',
+                         '-p', 'centroid_extractor.wait_for_subscribers:=0',
+                         '-p', 'star_identifier.wait_for_subscribers:=0',
+                         '-p', 'estimator.wait_for_subscribers:=0')
+    node, heard = f'/again/again_{name}', f'/again/{topic.name}'
+    for _ in range(2):
+        peer.until(lambda: peer.node.count_subscribers(heard) == 1)
+        assert change(peer, node, Transition.TRANSITION_DEACTIVATE)
+        peer.until(lambda: peer.node.count_subscribers(heard) == 0)
+        assert state(peer, node) == 'inactive'
+        assert change(peer, node, Transition.TRANSITION_ACTIVATE)
+    peer.until(lambda: peer.node.count_subscribers(heard) == 1)
+    assert state(peer, node) == 'active'
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 0, process.stderr.read()
+
+
+def test_subscription_that_has_ended_has_nothing_more_to_take(peer):
+    heard = []
+    subscription = MatchedSubscription(peer.node, Imu, 'ended', heard.append, raw=True)
+    publisher = peer.node.create_publisher(Imu, 'ended', 10)
+    peer.until(lambda: subscription.publishers)
+    publisher.publish(Imu())
+    peer.until(lambda: heard)
+    subscription.destroy()
+    publisher.publish(Imu())
+    subscription.take_all()
+    assert subscription.look_again() == 0 and len(heard) == subscription.received == 1
 
 
 # A node whose transition fails; argv: the step, the error.

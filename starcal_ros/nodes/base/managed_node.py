@@ -7,9 +7,10 @@
     unconfigured ── configure ──► inactive ── activate ──► active
                  ◄── cleanup ───           ◄── deactivate ──
 
-A subclass says what each of the four does. With the parameter ``autostart``, the default, a node
-is active as soon as it has been created, so that `ros2 run` alone is enough; without it, it waits
-for `ros2 lifecycle set` or a lifecycle manager.
+A subclass says what each of the four does. It makes its publishers with `offer` and, while it is
+active, its subscriptions with `listen`; this class uses up what has arrived and ends both. With
+the parameter ``autostart``, the default, a node is active as soon as it has been created, so that
+`ros2 run` alone is enough; without it, it waits for `ros2 lifecycle set` or a lifecycle manager.
 
 An inactive node subscribes to nothing, publishes nothing and holds up nobody. What it has worked
 out stays, and what it missed shows in the stamps of what comes next.
@@ -21,9 +22,16 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.timer import Timer
 
-from starcal_ros.nodes.base import parameters
+from starcal_ros.messages.topics import Topic
+from starcal_ros.nodes.base import parameters, run_loop
+from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
+from starcal_ros.nodes.base.matched_subscription import BATCH, MatchedSubscription
+from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.nodes.base.run_loop import USER_ERRORS
+
+_DRAIN_S = 6.0          # for the last messages; acknowledgements may take 3 s
 
 
 class ManagedNode(LifecycleNode):
@@ -37,11 +45,23 @@ class ManagedNode(LifecycleNode):
         Groups of parameters to declare, as `parameters.declare` takes them.
     options : dict
         What rclpy's Node takes: ``namespace``, ``parameter_overrides``, ``context`` ...
+
+    Attributes
+    ----------
+    scenario : Scenario
+        Its parameters.
+    inputs : list of MatchedSubscription
+        What it listens to while it is active; the run loop empties them.
+    outputs : list of FlowPublisher
+        What it publishes while it is configured.
     """
 
     def __init__(self, name: str, *groups: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.scenario = parameters.declare(self, 'autostart', *groups)
+        self.inputs: list[MatchedSubscription] = []
+        self.outputs: list[FlowPublisher] = []
+        self._running: list[Timer] = []         # while active
         self._error: Exception | None = None
         self._raising = False           # whether whoever asks for a transition hears of an error
 
@@ -60,10 +80,39 @@ class ManagedNode(LifecycleNode):
         """Subscribe."""
 
     def deactivate(self) -> None:
-        """Use up what has arrived and end the subscriptions."""
+        """Finish what has arrived: all of it has been handed over, and no timer runs any more."""
 
     def cleanup(self) -> None:
-        """Give back what `configure` took."""
+        """Give back what `configure` took, but the publishers."""
+
+    # For a subclass
+
+    def offer(self, topic: Topic) -> FlowPublisher:
+        """Return a publisher that is ended by `cleanup`, when all is delivered."""
+        self.outputs.append(FlowPublisher(
+            self, message_type(topic.type_name), topic.name, latched=topic.latched,
+            patience_s=PATIENCE_S))
+        return self.outputs[-1]
+
+    def listen(self, topic: Topic, callback: Callable[[list[bytes]], None], at_once: int = BATCH
+               ) -> None:
+        """Hand over the messages of a topic in CDR, at most `at_once`, until `deactivate`."""
+        self.inputs.append(MatchedSubscription(
+            self, message_type(topic.type_name), topic.name, callback, latched=topic.latched,
+            raw=True, at_once=at_once))
+
+    def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Call back again and again, until `deactivate`."""
+        self._running.append(run_loop.steady_timer(self, period_s, callback))
+
+    def when_heard(self, count: int, callback: Callable[[], None]) -> None:
+        """Call back when each of the outputs has so many subscribers, not after `deactivate`."""
+        def begin() -> None:
+            self._running.remove(timer)         # has ended itself
+            callback()
+
+        timer = when_subscribed(self, self.outputs, count, begin)
+        self._running.append(timer)
 
     # For the runtime
 
@@ -97,20 +146,38 @@ class ManagedNode(LifecycleNode):
 
     def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Answer to `deactivate`."""
-        return self._try(self.deactivate)
+        return self._try(self._deactivate)
 
     def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Answer to `cleanup`."""
-        return self._try(self.cleanup)
+        return self._try(self._cleanup)
 
     def on_shutdown(self, before: LifecycleState) -> TransitionCallbackReturn:
         """Answer to `shutdown`: undo what the state before stands on."""
-        steps = {'active': [self.deactivate, self.cleanup], 'inactive': [self.cleanup]}
+        steps = {'active': [self._deactivate, self._cleanup], 'inactive': [self._cleanup]}
         return self._try(*steps.get(before.label, []))
 
     def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Answer to a defect: the node ends, and `close` raises it."""
         return TransitionCallbackReturn.FAILURE
+
+    def _deactivate(self) -> None:
+        for timer in self._running:
+            run_loop.end_timer(self, timer)
+        self._running.clear()
+        for subscription in self.inputs:
+            subscription.take_all()
+        self.deactivate()
+        for subscription in self.inputs:
+            subscription.destroy()
+        self.inputs.clear()
+
+    def _cleanup(self) -> None:
+        self.cleanup()
+        drain(self.outputs, _DRAIN_S)
+        for publisher in self.outputs:
+            publisher.destroy()
+        self.outputs.clear()
 
     def _try(self, *steps: Callable[[], None]) -> TransitionCallbackReturn:
         # rclpy itself would swallow an exception without a word.
@@ -121,7 +188,7 @@ class ManagedNode(LifecycleNode):
                 if self._raising:
                     self._error = error
                 else:
-                    self.get_logger().error(f'{step.__name__}: {error}')
+                    self.get_logger().error(f'{step.__name__.lstrip("_")}: {error}')
                 return TransitionCallbackReturn.FAILURE
             except Exception as error:
                 self._error = error

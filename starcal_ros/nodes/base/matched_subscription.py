@@ -64,7 +64,7 @@ class MatchedSubscription:
         self._durability = LATCHED.durability if latched else STREAM.durability
         self.received, self.lost = 0, 0
         self._subscription = self._create()
-        self._outdated = False
+        self._outdated = self._destroyed = False
         _looked_at(node).append(self)
 
     @property
@@ -80,11 +80,12 @@ class MatchedSubscription:
     def take_all(self) -> None:
         """Hand over all that waits, now; not what a publisher adds in the meantime."""
         for _ in range(_MOST_WAITING // self._at_once):
-            self._hand_over(_take_waiting(self._subscription, self._at_once))
+            self._hand_over(self._take_waiting(self._at_once))
 
     def destroy(self) -> None:
-        """End the subscription."""
+        """End the subscription; there is nothing more to take then."""
         self._callback = lambda messages: None      # for what is under way in the executor
+        self._destroyed = True
         _looked_at(self._node).remove(self)
         self._node.destroy_subscription(self._subscription)
 
@@ -105,14 +106,17 @@ class MatchedSubscription:
 
     def look_again(self) -> int:
         """Hand over what waits, and return how much; ask the publishers for less if need be."""
-        if self._outdated:
+        if self._outdated and not self._destroyed:
             self._recreate()
         # What arrives while messages are taken does not always wake the executor once more.
-        self._hand_over(waiting := _take_waiting(self._subscription, self._at_once))
+        self._hand_over(waiting := self._take_waiting(self._at_once))
         return len(waiting)
 
     def _on_message(self, message: Any) -> None:
-        self._hand_over([message, *_take_waiting(self._subscription, self._at_once - 1)])
+        self._hand_over([message, *self._take_waiting(self._at_once - 1)])
+
+    def _take_waiting(self, limit: int) -> list[Any]:
+        return [] if self._destroyed else _take_waiting(self._subscription, limit)
 
     def _hand_over(self, messages: list[Any]) -> None:
         if messages:

@@ -12,7 +12,7 @@ A node may have
 * ``finished``: true when it has nothing left to do; it is then destroyed, and when none is left
   the process ends;
 * ``close()``: called once before it is destroyed, whatever ended it;
-* ``inputs``: subscriptions (`flow.MatchedSubscription`) that the loop empties itself. The executor
+* ``inputs``: subscriptions (`MatchedSubscription`) that the loop empties itself. The executor
   builds a set of all that it waits for, twice a message, which takes longer than the message does;
   so where all nodes of a process have inputs it gets a turn now and then, for the rest.
 
@@ -20,7 +20,7 @@ Several nodes in one process share one thread, so a callback must not wait for w
 them has yet to do. Where the process is asked to end, the node that was made last is closed first.
 
 rclpy's EventsExecutor would take a third less processor time at real time. But it queues an event
-a message, also for those that `flow` has taken already: at full speed timers never got their turn,
+a message, also for those that have been taken already: at full speed timers never got their turn,
 and a service was answered after 6 s, not 0.6 s.
 """
 
@@ -182,15 +182,15 @@ def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
 
 def _turn(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
     """Serve nodes for a while, at most SPIN_S where nothing comes."""
-    inputs = [getattr(node, 'inputs', ()) for node in nodes]
-    if not all(inputs):
+    if not all(getattr(node, 'inputs', ()) for node in nodes):
         executor.spin_once(timeout_sec=SPIN_S)
         return
     for _ in range(_CALLBACKS):
         executor.spin_once(timeout_sec=0.0)
     ends = time.monotonic() + SPIN_S
     while time.monotonic() < ends and not stop_requested():
-        if not sum(subscription.look_again() for of_node in inputs for subscription in of_node):
+        # Asked for anew: a callback above may have been a transition, which ends subscriptions.
+        if not sum(subscription.look_again() for node in nodes for subscription in node.inputs):
             time.sleep(_LOOK_S)
 
 
