@@ -7,32 +7,33 @@ No rclpy here: the nodes are processes of their own, started and ended as a user
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 import os
 from pathlib import Path
-import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from typing import Any
 
 import numpy as np
 
 from starcal_ros.config import parameter_file
-from starcal_ros.config.scenario import Scenario
+from starcal_ros.config.scenario import Scenario, stamp_ns
 from starcal_ros.config.shipped import config_file
+from starcal_ros.core.units import NS
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.messages import conventions, topics
 from starcal_ros.recording.bag import open_bag
+from starcal_ros.recording.mcap_tail import McapTail
 from starcal_ros.recording.writer import typestore
 
 RECORDING, RESULT, FIGURE, REPORT, PARAMETERS = (
     'run.mcap', 'result.json', 'convergence.png', 'report.html', 'demo.yaml')
 _SIMULATORS = ('star_tracker_sim', 'gyro_sim')
+_QUIET = ('--log-level', 'gyro_sim:=warn')     # its percentages, beside our progress
 _END_S = 30.0           # time that a node may take to end
 
 
@@ -84,15 +85,14 @@ def run_live(scenario: Scenario, folder: Path,
                                  'simulation.wait_for_subscribers': 2})
     params_file = folder / PARAMETERS
     params_file.write_text(parameter_file.dump(scenario), encoding='utf-8')
-    nodes: dict[str, subprocess.Popen[str]] = {}
+    nodes: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for name in ('recorder', 'estimator', *_SIMULATORS):
             nodes[name] = subprocess.Popen(
-                node_command(name, {}, params_file), env={**os.environ, **isolated()},
-                text=True, stderr=subprocess.PIPE if name == 'gyro_sim' else None)
-        threading.Thread(target=_follow, args=(nodes['gyro_sim'], on_progress),
-                         daemon=True).start()
-        _wait_for_simulators(nodes)
+                [*node_command(name, {}, params_file), *_QUIET], env={**os.environ, **isolated()})
+        for newest_ns in _until_simulated(nodes, McapTail(recording)):
+            on_progress(part_over(newest_ns, scenario))
+        on_progress(1.0)
         # Nothing is lost at the beginning: the simulators wait for recorder and estimator, and
         # that for the recorder. Nor at the end: the simulators end when all they sent has arrived,
         # the estimator uses up what waits, and then the recorder.
@@ -107,6 +107,12 @@ def run_live(scenario: Scenario, folder: Path,
     return recording
 
 
+def part_over(newest_ns: int, scenario: Scenario) -> float:
+    """Return the part of a run that is over at a stamp, 0 to 1; a stamp of 0 is none yet."""
+    start_ns = stamp_ns('simulation.start_utc', scenario.simulation.start_utc)
+    return min(max(newest_ns - start_ns, 0) * NS / scenario.simulation.duration_s, 1.0)
+
+
 def isolated() -> dict[str, str]:
     """Return environment variables with which nodes meet only each other, and quickly."""
     variable = 'FASTDDS_DEFAULT_PROFILES_FILE'
@@ -117,25 +123,19 @@ def isolated() -> dict[str, str]:
             variable: str(config_file('fastdds_fast_discovery.xml'))}
 
 
-def _follow(process: subprocess.Popen[str], on_progress: Callable[[float], None]) -> None:
-    """Turn the node's log lines that end in a percentage into progress, hand on the others."""
-    for line in process.stderr or ():
-        if match := re.search(r' (\d+) %$', line.rstrip()):
-            on_progress(int(match[1]) / 100.0)
-        else:
-            sys.stderr.write(line)
-
-
-def _wait_for_simulators(nodes: Mapping[str, subprocess.Popen[str]]) -> None:
+def _until_simulated(nodes: Mapping[str, subprocess.Popen[bytes]], recording: McapTail
+                     ) -> Iterator[int]:
+    """Yield the newest stamp that is recorded, until the simulators have ended."""
     while any(nodes[name].poll() is None for name in _SIMULATORS):
         for name, process in nodes.items():
             status = process.poll()
             if status is not None and (status != 0 or name not in _SIMULATORS):
                 raise NodeError(f'{name} ended with status {status} before the run was over')
+        yield recording.newest_ns()
         time.sleep(0.05)
 
 
-def _expect_end(name: str, process: subprocess.Popen[str]) -> None:
+def _expect_end(name: str, process: subprocess.Popen[bytes]) -> None:
     try:
         status = process.wait(_END_S)
     except subprocess.TimeoutExpired:

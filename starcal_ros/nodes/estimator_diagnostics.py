@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.filter.states import PHI, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.filter.states import STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 
 _SILENCE_S = 3.0        # without a message before an input counts as silent
@@ -50,18 +50,17 @@ class Diagnostics:
         values['not_told_apart'] = '; '.join(
             f'{", ".join(coupling.names)}: {verdict.advice(coupling.axis)}'
             for coupling in judged.couplings) or 'none'
-        values['correlation_u0_psi_y'] = f'{judged.u0_psi_y:.4f}'
-        values['correlation_v0_psi_x'] = f'{judged.v0_psi_x:.4f}'
-        u, v = judged.equivalent_sigma_px
-        values['sigma_equivalent_principal_point_px'] = f'{u:.3g} {v:.3g}'
-        u, v = calibrator.reprojection_rms_px
-        values['reprojection_rms_px'] = f'{u:.4f} {v:.4f}'
-        for name, unit, sigma in zip(STATE_NAMES[PHI], STATE_UNITS[PHI],
-                                     belief.sigma[PHI] / UNIT[PHI]):
-            values[f'sigma_{name}'] = f'{sigma:.3g} {unit}'
+        numbers = {'correlation_u0_psi_y': judged.u0_psi_y,
+                   'correlation_v0_psi_x': judged.v0_psi_x}
+        for axis, sigma, rms in zip('uv', judged.equivalent_sigma_px,
+                                    calibrator.reprojection_rms_px):
+            numbers[f'sigma_equivalent_principal_point_{axis}_px'] = sigma
+            numbers[f'reprojection_rms_{axis}_px'] = rms
+        for name, unit, sigma in zip(STATE_NAMES, STATE_UNITS, belief.sigma / UNIT):
+            numbers[f'sigma_{name}'], values[f'unit_{name}'] = sigma, unit
         for state in judged.states:
-            values[f'sigma_{state.name}'] = (
-                f'{state.sigma:.3g} {state.unit}, tolerance {state.tolerance:.3g}')
+            numbers[f'tolerance_{state.name}'] = state.tolerance
+        values.update({name: f'{number:.6g}' for name, number in numbers.items()})
         level = DiagnosticStatus.OK if calibrator.tracking else DiagnosticStatus.ERROR
         return self._status('calibration', level, judged.summary, values)
 

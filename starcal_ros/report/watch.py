@@ -10,8 +10,7 @@ the ellipse of 68 %, and otherwise an arrow along its residual, measured minus p
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-import re
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from rich.text import Text
 
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG, DEG_PER_HOUR
+from starcal_ros.filter.calibrator import Counts
 from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
 from starcal_ros.messages.conventions import STATE_LAYOUT
 from starcal_ros.report.states import LABELS, UNITS, Row, short
@@ -34,6 +34,7 @@ STAR_FIELDS = ('u', 'v', 'du', 'dv', 'nis', 'accepted')
 _LABELS = ('φ_x', 'φ_y', 'φ_z', *LABELS)
 _UNITS = (*UNITS[3:6], *UNITS)
 _SHOWN_UNIT = np.array([*(DEG,) * 3, *(DEG_PER_HOUR,) * 3, *(DEG,) * 3, *(1.0,) * 7])
+_COUNTS = {*(count.name for count in fields(Counts)), 'waiting_frames'}
 _COLUMNS = 32                   # of the map
 _ARROWS = '→↘↓↙←↖↑↗'             # by 45 deg of (du, dv)
 _USUAL, _RARE = 2.30, 9.21      # chi-square of two degrees of freedom: 68 %, 99 %
@@ -90,7 +91,7 @@ def render(seen: Seen) -> RenderableType:
     body.add_row(*cells)
     parts.append(body)
     counts = [f'{key.replace("_", " ")} {value}' for key, value in seen.values.items()
-              if value.isdigit()]
+              if key in _COUNTS]
     if counts:
         parts.append(Text(', '.join(counts), style='dim'))
     if seen.values.get('not_told_apart', 'none') != 'none':
@@ -100,9 +101,7 @@ def render(seen: Seen) -> RenderableType:
 
 def tolerances(values: Mapping[str, str]) -> list[float]:
     """Return the tolerance of each state out of the diagnostics, NaN where there is none."""
-    found = (re.search(r'tolerance (\S+)', values.get(f'sigma_{name}', ''))
-             for name in STATE_NAMES)
-    return [float(match[1]) if match else np.nan for match in found]
+    return [float(values.get(f'tolerance_{name}', 'nan')) for name in STATE_NAMES]
 
 
 def star_map(stars: NDArray[np.void], size: tuple[int, int], columns: int = _COLUMNS) -> Text:
@@ -142,8 +141,9 @@ def _inputs(seen: Seen) -> Text:
     if seen.state is not None:
         stamp = np.datetime64(round(seen.state[0] * 1e3), 'ms')
         parts.append(f'last frame {stamp} UTC')
-    if 'reprojection_rms_px' in seen.values:
-        parts.append(f'reprojection {seen.values["reprojection_rms_px"]} px')
+    rms = [float(seen.values.get(f'reprojection_rms_{axis}_px', 'nan')) for axis in 'uv']
+    if np.isfinite(rms).all():
+        parts.append('reprojection {:.4f} {:.4f} px'.format(*rms))
     return Text(', '.join(filter(None, parts)))
 
 

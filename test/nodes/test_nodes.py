@@ -28,6 +28,7 @@ from starcal_ros.cli import processes  # noqa: E402
 from starcal_ros.config import parameter_file, scenario  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR  # noqa: E402
+from starcal_ros.core.utc import unix_ns  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions  # noqa: E402
@@ -42,10 +43,13 @@ SCENARIO = TAN2018.replace({
     'simulation.duration_s': DURATION_S, 'simulation.real_time_factor': 0.0})
 
 
+PROGRESS = []
+
+
 @pytest.fixture(scope='module')
 def live(tmp_path_factory):
     """Return the recording of a run of all four nodes."""
-    return processes.run_live(SCENARIO, tmp_path_factory.mktemp('live'))
+    return processes.run_live(SCENARIO, tmp_path_factory.mktemp('live'), PROGRESS.append)
 
 
 @pytest.fixture(scope='module')
@@ -70,6 +74,15 @@ def messages(path, topic):
 
 
 # A whole run
+
+
+def test_progress_is_that_of_the_recording(live):
+    assert PROGRESS[-1] == 1.0 and sorted(PROGRESS) == PROGRESS and PROGRESS[0] == 0.0
+    start_ns = unix_ns(SCENARIO.simulation.start_utc)
+    for part in (0.0, 0.25, 1.0):
+        stamp_ns = start_ns + round(part * DURATION_S * 1e9)
+        assert processes.part_over(stamp_ns, SCENARIO) == pytest.approx(part)
+    assert processes.part_over(start_ns + 2**50, SCENARIO) == 1.0       # never more than all
 
 
 def test_recording_holds_all_that_the_simulators_made_to_the_bit(recorded):

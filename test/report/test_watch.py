@@ -89,7 +89,7 @@ def state(sigma):
 
 
 def test_states_stand_beside_their_tolerances():
-    values = {'sigma_u0': '0.04 px, tolerance 0.1', 'sigma_v0': '0.04 px, tolerance 0.03'}
+    values = {'sigma_u0': '0.04', 'tolerance_u0': '0.1', 'tolerance_v0': '0.03'}
     lines = text(Seen(state(0.04), level=0, silent_s=0.0, values=values)).splitlines()
     by_label = {line.split()[0]: line.split() for line in lines if line.split()}
     assert by_label['u0'] == ['u0', '5.000', '0.04', '0.1', 'px', '✓']
@@ -103,13 +103,14 @@ def test_view_has_verdict_inputs_counts_and_what_can_not_be_told_apart():
         stars=stars((1, 1, 0.3, 0.4, 1, 1), (9, 9, 7, 7, 99, 0)), size=(64, 64), level=0,
         message='not yet: [bold]f[/bold]', silent_s=0.0,
         values={'rejected_stars': '3', 'not_told_apart': 'u0, psi_y: rotate',
-                'reprojection_rms_px': '0.1 0.2'},
+                'reprojection_rms_u_px': '0.1', 'reprojection_rms_v_px': '0.2', 'sigma_u0': '3'},
         inputs_message='/b is silent for 4 s',
         inputs={'/a/imu/data_raw messages_per_second': '9.5', '/a/imu/data_raw messages': '95'}))
     for part in ('not yet: [bold]f[/bold]\n', '/b is silent for 4 s, imu/data_raw 9.5 Hz, repro',
                  'rejected stars 3', 'not told apart: u0, psi_y: rotate',
-                 'reprojection 0.1 0.2 px', '1 of 2 stars used, 0.3 0.4 px'):
+                 'reprojection 0.1000 0.2000 px', '1 of 2 stars used, 0.3 0.4 px'):
         assert part in shown
+    assert 'sigma' not in shown         # no count, though it is a whole number
 
 
 # Over ROS 2
@@ -177,7 +178,7 @@ def test_late_watch_shows_tolerances_verdict_counts_and_stars(shown):
 
 
 def test_tolerances_are_those_of_the_diagnostics():
-    found = tolerances({'sigma_f': '1e-05 mm, tolerance 0.0002', 'sigma_phi_x': '3 arcsec'})
+    found = tolerances({'sigma_f': '1e-05', 'tolerance_f': '0.0002', 'sigma_phi_x': '3'})
     assert found[STATE_NAMES.index('f')] == 2e-4
     assert np.isnan(found).sum() == N_STATES - 1
 
