@@ -5,23 +5,17 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
-from starcal_ros.config.image import CentroidConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import stamp_ns
 from starcal_ros.sky.refraction import Site
+from starcal_ros.workflows.still_images import pipeline
+from starcal_ros.workflows.still_images.pipeline import Conditions, Source
 
-EPOCH = '2020-01-01T00:00:00'
-"""Time of images of which none is known: a few years move no star by a hundredth of a pixel."""
-
-_UNFIT = {'interstar': '; on still images interstar needs --interstar-equations TCOC or TCWC',
-          'predicted_centroid': '; predicted_centroid needs a gyro'}
 _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'stars')
 _OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report')
@@ -98,16 +92,6 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
         raise ConfigError(f'--saturation: got {options.saturation:g}, needs more than 0')
 
 
-class _Source(NamedTuple):
-    """Stars in images, the size of these, where to begin, and what to add to the result."""
-
-    images: Any
-    width: int
-    height: int
-    focal_length_px: float
-    told: dict[str, Any]
-
-
 def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     """Calibrate and show a camera.
 
@@ -124,112 +108,39 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
         What is written as JSON.
     """
     from starcal_ros import report
-    from starcal_ros.results import result
-    from starcal_ros.workflows.still_images import calibration
-    site = _site(options)
-    where = options.centroids or options.source
-    read = _of_table if options.centroids else _of_folder
-    source = read(options, site)
-    velocity = 'geocentre' if options.aberration or site else 'barycentre'
-    scenario = calibration.scenario_of(source.width, source.height, source.focal_length_px,
-                                       options.method or 'bundle', velocity).replace(given)
-    images, notices = source.images, []
-    if site is not None:
-        from starcal_ros.workflows.still_images.atmosphere import without_low_stars
-        frames, sunk, low = without_low_stars(images.frames, scenario, site)
-        if sunk.any():
-            raise ConfigError(f'--site: {sunk.sum()} of {len(sunk)} images, such as '
-                              f'{images.names[int(sunk.argmax())]}, show stars below the horizon: '
-                              'site or times are wrong')
-        images = replace(images, frames=frames)
-        if low:
-            notices.append(f'{low} stars lower than 5 deg are left out')
-    notices += source.told.pop('notices')
-    for text in (*notices, *(f'{name} left out: {why}'
-                             for name, why in source.told['left_out'].items())):
+    conditions = Conditions(options.fov, options.epoch, _site(options), options.aberration)
+    source = _of_table(options, conditions) if options.centroids else _of_folder(
+        options, conditions)
+    for text in (*source.notices, *(f'{name} left out: {why}'
+                                    for name, why in source.left_out.items())):
         say(f'warning: {text}')
     with progress('calibrating') as on_progress:
-        found = calibration.calibrate(images, scenario, site)
+        found, outcome = pipeline.calibrate(source, parameters=given)
         on_progress(1.0)
-    if found is None:
-        raise result.CalibrationError(
-            f'{where}: no camera from {len(images.names)} images with '
-            f'{len(images.frames.catalog_id)} stars' + _UNFIT.get(scenario.intrinsics.method, ''))
-    outcome = {'method': scenario.intrinsics.method, 'source': str(where), **found.as_dict(),
-               **source.told}
-    if site is not None:
-        outcome['air'] = {'site': [site.latitude_deg, site.longitude_deg, site.height_m],
-                          **dict(zip(('pressure_hpa', 'temperature_c'), site.air))}
-    show(report.still_images(outcome, f'Camera of {where}, {outcome["method"]}'))
+    show(report.still_images(outcome, f'Camera of {source.name}, {outcome["method"]}'))
     if options.report:
         from starcal_ros.report.plate_page import write_plate_page
-        write_plate_page(options.report, found, outcome, notices)
+        write_plate_page(options.report, found, outcome, [*source.notices])
     return outcome
 
 
-def _of_table(options: argparse.Namespace, site: Site | None) -> _Source:
-    from starcal_ros.workflows.still_images import calibration, opencv_camera, table
+def _of_table(options: argparse.Namespace, conditions: Conditions) -> Source:
     if not (options.width and options.height):
         raise ConfigError('--centroids: needs --width and --height of the images')
-    if site is not None and not options.epoch:
+    if conditions.site is not None and not options.epoch:
         raise ConfigError('--site: needs --epoch, the time of the images')
-    images = table.read_centroids(options.centroids, options.epoch or EPOCH)
-    f_px = (opencv_camera.focal_length_of_field(options.fov, options.width) if options.fov
-            else calibration.focal_length_px(images, options.width, options.height))
-    return _Source(images, options.width, options.height, f_px, {'left_out': {}, 'notices': []})
+    return pipeline.of_table(options.centroids, options.width, options.height, conditions)
 
 
-def _of_folder(options: argparse.Namespace, site: Site | None) -> _Source:
-    from starcal_ros.results.result import CalibrationError
-    from starcal_ros.sky.apparent import Observer
-    from starcal_ros.workflows.still_images import folder, table
+def _of_folder(options: argparse.Namespace, conditions: Conditions) -> Source:
     if options.stars:
         arguments.require_writable(Path(options.stars))
-    velocity = 'geocentre' if options.aberration or site else 'barycentre'
     with progress('reading') as on_progress:
         try:
-            found = folder.read(
-                options.source, options.fov, options.epoch,
-                CentroidConfig(saturation_counts=options.saturation), Observer(velocity), site,
-                on_progress)
+            return pipeline.of_folder(options.source, conditions, options.heldout,
+                                      options.saturation, options.stars, on_progress)
         except ImportError as error:
             raise ConfigError(str(error)) from None
-    left_out, images = dict(found.left_out), list(found.images)
-    if site is not None:
-        left_out |= {image.name: '--site needs a time, which neither the file nor --epoch tells'
-                     for image in images if image.stamp_ns is None}
-        images = [image for image in images if image.stamp_ns is not None]
-    if not images:
-        name, why = next(iter(left_out.items()))
-        raise CalibrationError(f'{options.source}: no image can be used; {name}: {why}')
-    notices = []
-    if found.flipped:
-        notices.append('the images show the sky in the mirror: they were flipped, top to bottom, '
-                       'and v0, p1 are those of the flipped images')
-    unsure = [image.name for image in images if not image.has_zone]
-    if site is not None and unsure:
-        notices.append(f'{", ".join(unsure[:3])}{" ..." * (len(unsure) > 3)}: a time without a '
-                       'zone or without a time of the day is taken as UTC')
-    every = options.heldout
-    heldout = [bool(every) and k % every == every - 1 for k in range(len(images))]
-    if options.stars:
-        folder.write_table(options.stars, images, heldout)
-    stars = table.assemble(
-        [image.name for image in images], [image.uv_raster for image in images],
-        [image.catalog_id for image in images], heldout, options.epoch or EPOCH,
-        [image.sigma for image in images], [image.stamp_ns for image in images])
-    told = {
-        'images': [{'image': image.name, 'split': 'heldout' if held else 'fit',
-                    'spots': image.spots, 'stars': len(image.catalog_id),
-                    'utc': _utc(image.stamp_ns)} for image, held in zip(images, heldout)],
-        'left_out': left_out, 'flipped': found.flipped, 'width': found.width,
-        'height': found.height, 'notices': notices}
-    return _Source(stars, found.width, found.height, found.focal_length_px, told)
-
-
-def _utc(stamp: int | None) -> str | None:
-    return None if stamp is None else datetime.fromtimestamp(
-        stamp // 1000 / 1e6, timezone.utc).replace(tzinfo=None).isoformat()
 
 
 def _site(options: argparse.Namespace) -> Site | None:

@@ -19,10 +19,14 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.utc import unix_ns
+from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.messages.conventions import from_camera_info
+from starcal_ros.results.result import CalibrationError
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
-from starcal_ros.workflows.still_images import calibration, opencv_camera, table
+from starcal_ros.sky.refraction import Site
+from starcal_ros.workflows.still_images import (atmosphere, calibration, opencv_camera, pipeline,
+                                                table)
 
 EPOCH = '2018-01-01T00:00:00'
 WIDTH, HEIGHT = 1280, 960
@@ -107,6 +111,39 @@ def test_a_fifth_of_wrong_numbers_is_let_go(method, tmp_path):
     error = np.array([found[key] - TRUE[key] for key in opencv_camera.KEYS])
     assert error @ np.linalg.solve(np.array(found['covariance']), error) < 24.3
     assert found['counts']['images'] == 12
+
+
+def test_a_table_in_two_calls_is_the_camera_of_the_command(tmp_path):
+    path, out = write(tmp_path / 'stars.csv', 8, held=(3,)), tmp_path / 'camera.json'
+    assert main(['intrinsics', '--centroids', str(path), '--width', str(WIDTH), '--height',
+                 str(HEIGHT), '--estimate', 'f', 'k1', '--out', str(out)]) == 0
+    outcome = pipeline.calibrate(pipeline.of_table(path, WIDTH, HEIGHT), parameters={
+        'intrinsics.estimate': ('f', 'k1')}).outcome
+    assert json.loads(json.dumps(outcome)) == json.loads(out.read_text())
+
+
+def test_what_can_not_be_calibrated_is_said(tmp_path):
+    path = write(tmp_path / 'stars.csv', 3)
+    source = pipeline.of_table(path, WIDTH, HEIGHT)
+    with pytest.raises(CalibrationError, match='no camera from 3 images .* needs a gyro'):
+        pipeline.calibrate(source, 'predicted_centroid')
+    with pytest.raises(ConfigError, match='needs the epoch'):
+        pipeline.of_table(path, WIDTH, HEIGHT, pipeline.Conditions(site=Site(47.0, 8.5)))
+
+
+def test_directions_of_the_stars_are_found_once_a_round_beside_the_method(tmp_path, monkeypatch):
+    looked = []
+
+    class Counting(StarDirections):
+        def of(self, frames):
+            looked.append(len(frames))
+            return super().of(frames)
+
+    for module in (calibration, atmosphere):
+        monkeypatch.setattr(module, 'StarDirections', Counting)
+    images = table.read_centroids(write(tmp_path / 'stars.csv', 6, held=(2,)), EPOCH)
+    assert calibration.calibrate(images, SCENARIO, Site(47.0, 8.5)) is not None
+    assert looked == 4 * [6]
 
 
 def test_residuals_are_the_noise_of_the_centroids(found):

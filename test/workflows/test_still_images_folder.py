@@ -28,7 +28,7 @@ from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
 from starcal_ros.sky.refraction import Site, altitude, refracted
 from starcal_ros.workflows.still_images import (calibration, folder as star_folder, opencv_camera,
-                                                table)
+                                                pipeline, table)
 
 pytest.importorskip('tetra3rs')
 
@@ -130,6 +130,21 @@ def test_any_method_calibrates_and_the_field_may_be_unknown(folder, tmp_path):
     assert abs(result['f_px'] - TRUE['f_px']) < 4.0 * result['sigma']['f_px'] < 2.0
 
 
+def test_a_folder_in_two_calls_is_the_camera_of_the_command(folder, tmp_path):
+    images, out = tmp_path / 'images', tmp_path / 'c.json'
+    images.mkdir()
+    for k in range(5):
+        name = f'{k:02d}.png' if k % 2 else f'{k:02d}.fits'
+        shutil.copy(folder / name, images / name)
+    (images / 'text.png').write_text('no image')
+    assert main(['intrinsics', str(images), '--fov', FOV, '--heldout', '4', '--aberration',
+                 '--out', str(out)]) == 0
+    source = pipeline.of_folder(images, pipeline.Conditions(float(FOV), aberration=True), 4)
+    assert [*source.left_out] == ['text.png']
+    assert json.loads(json.dumps(pipeline.calibrate(source).outcome)) == json.loads(
+        out.read_text())
+
+
 def test_mirrored_images_are_flipped_and_an_odd_one_is_left_out(folder, tmp_path, capsys):
     images, out, page = tmp_path / 'images', tmp_path / 'c.json', tmp_path / 'p.html'
     images.mkdir()
@@ -191,7 +206,7 @@ def test_a_site_needs_times(folder, tmp_path, capsys):
     shutil.copy(folder / '01.png', tmp_path)
     assert main(['intrinsics', str(tmp_path), '--fov', FOV, '--site=-33.4,-70.7']) == 1
     said = capsys.readouterr().err
-    assert '01.png: --site needs a time, which neither the file nor --epoch tells' in said
+    assert '01.png: the site needs a time, which neither the file nor the epoch tells' in said
 
 
 @pytest.mark.parametrize('words, culprit', [

@@ -17,39 +17,37 @@ from starcal_ros.calibration import bundle_start
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Mask
-from starcal_ros.measurements.samples import Frames
+from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import LOWEST_DEG, Site, altitude, refracted
 
 
-def without_air(measured: Frames, freed: Frames, C_si: Array, intrinsics: Array,
-                scenario: Scenario, site: Site) -> Frames:
+def without_air(measured: Frames, stars: Stars, C_si: Array, intrinsics: Array,
+                pitch_mm: float, site: Site) -> Frames:
     """Return frames with the centroids that they would have without air.
 
     Parameters
     ----------
     measured : Frames
         Centroids as measured, and the sigmas that count.
-    freed : Frames
+    stars : Stars
         The same stars, as far as they are freed of refraction by now.
     C_si : (n, 3, 3) array
-        Attitudes that were fitted to `freed`, of each frame with stars enough.
+        Attitudes that were fitted to `stars`, of each frame with stars enough.
     intrinsics : (7,) array
         The camera that was.
-    scenario : Scenario
-        Observer, pixels.
+    pitch_mm : float
+        Pixel pitch [mm].
     site : Site
         Where the images were taken.
     """
-    stars = StarDirections(scenario).of(freed)
-    usable = bundle_start.usable(freed, stars)
-    frame = freed.frame_index[usable]
+    usable = bundle_start.usable(measured, stars)
+    frame = measured.frame_index[usable]
     u_i = stars.u_i[usable]
     C = C_si[np.unique(frame, return_inverse=True)[1]]
 
     def seen(places: Array) -> Array:
-        return camera.project((C @ places[..., None])[..., 0], intrinsics,
-                              scenario.camera.pixel_pitch_mm)
+        return camera.project((C @ places[..., None])[..., 0], intrinsics, pitch_mm)
 
     uv = measured.uv_raster.copy()
     uv[usable] -= seen(refracted(u_i, measured.stamp_ns[frame], site)) - seen(u_i)

@@ -19,15 +19,17 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from starcal_ros import calibration
 from starcal_ros.calibration import bundle_adjustment, bundle_start
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.config.models import star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.core import camera
+from starcal_ros.core.arrays import Mask
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images.atmosphere import without_air
@@ -166,38 +168,56 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
     """
     measured, result = images.frames, None
     for _ in range(_ROUNDS if site is None else _ROUNDS_IN_AIR):
-        fitted, held = (images.which(part) for part in (~images.heldout, images.heldout))
+        stars = StarDirections(scenario).of(images.frames)
+        fitted = images.which(~images.heldout)
         method = calibration.method(scenario)
         method.add_frames(fitted.frames)
         estimate = method.estimate()
         if estimate is None:
             return None
-        fit = refit(fitted, estimate, scenario)
+        fit = refit(images, stars, ~images.heldout, estimate, scenario)
         assert fit is not None          # or there would be no estimate
         adjusted = fit.adjusted
         freedom = max(1, 2 * int(adjusted.used.sum()) - 3 * len(adjusted.C_si)
                       - int(np.count_nonzero(estimate.sigma)))
         residual, stated = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
         sigma = float(np.sqrt(np.sum(residual**2) / freedom))
-        result = StillImageCamera(estimate, sigma, fit, refit(held, estimate, scenario), scenario)
+        result = StillImageCamera(estimate, sigma, fit, refit(
+            images, stars, images.heldout, estimate, scenario), scenario)
         scale = float(np.sqrt(np.sum((residual / stated[:, None])**2) / freedom))
         known = measured.sigma > 0.0
         measured = replace(measured, sigma=np.where(
             known, np.maximum(scale * measured.sigma, _LEAST_SIGMA_PX), 0.0))
         freed = replace(images.frames, sigma=measured.sigma)
-        if site is not None and (every := refit(images, estimate, scenario)) is not None:
-            freed = without_air(measured, freed, every.adjusted.C_si, estimate.intrinsics,
-                                scenario, site)
+        if site is not None and (every := refit(
+                images, stars, np.ones_like(images.heldout), estimate, scenario)) is not None:
+            freed = without_air(measured, stars, every.adjusted.C_si, estimate.intrinsics,
+                                scenario.camera.pixel_pitch_mm, site)
         images = replace(images, frames=freed)
         scenario = scenario.replace({'star_tracker.centroid_sigma_px': max(
             scale * scenario.star_tracker.centroid_sigma_px, _LEAST_SIGMA_PX)})
     return result
 
 
-def refit(images: StillImages, estimate: CameraEstimate, scenario: Scenario) -> Refit | None:
-    """Fit the attitudes alone, the camera held; None where no image has stars enough."""
+def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimate,
+          scenario: Scenario) -> Refit | None:
+    """Fit the attitudes alone, the camera held; None where no image has stars enough.
+
+    Parameters
+    ----------
+    images : StillImages
+    stars : Stars
+        Their stars.
+    part : (n,) bool array
+        Which images.
+    estimate : CameraEstimate
+    scenario : Scenario
+        Pixel pitch, gate.
+    """
+    rows = np.repeat(part, images.frames.star_counts)
+    stars = stars.take(rows)
+    images = images.which(part)
     frames = images.frames
-    stars = StarDirections(scenario).of(frames)
     spots = bundle_start.identified(frames, stars)
     if not len(spots.frame):
         return None
@@ -208,5 +228,5 @@ def refit(images: StillImages, estimate: CameraEstimate, scenario: Scenario) -> 
     r_s = camera.unproject(spots.uv, estimate.intrinsics, pitch_mm)
     adjusted = bundle_adjustment.adjust(
         spots, estimate.intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
-        np.zeros((7, 7)), float(chi2.ppf(scenario.estimator.gate_probability, 2)))
+        np.zeros((7, 7)), star_gate(scenario.estimator))
     return Refit(tuple(np.array(images.names)[enough].tolist()), spots, adjusted)
