@@ -119,8 +119,8 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
         on_progress(1.0)
     show(report.still_images(outcome, f'Camera of {source.name}, {outcome["method"]}'))
     if options.report:
-        from starcal_ros.report.plate_page import write_plate_page
-        write_plate_page(options.report, found, outcome, [*source.notices])
+        from starcal_ros.report.still_images_page import write_still_images_page
+        write_still_images_page(options.report, found, outcome, [*source.notices])
     return outcome
 
 

@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a person reads of a calibration.
 
-`states` has the table of the calibrated states, `cameras` those of a camera alone, `study` that of
-a Monte Carlo, `published` what a paper has, `convergence` the figure as PNG. `page` puts all of a
-calibration on one page of HTML (`html`), `plate_page` that of still images: `time_charts` are
-charts over time, `detector_charts` those over the detector and of the residuals.
+`states` has the table of the calibrated states, `cameras` those of a camera alone,
+`montecarlo_table` that of a Monte Carlo, `reproduction_table` what a paper has beside ours,
+`convergence` the figure as PNG. `page` puts all of a calibration on one page of HTML (`html`),
+`still_images_page` that of still images: `time_charts` are charts over time, `detector_charts`
+those over the detector and of the residuals.
 """
 
 from starcal_ros.report.cameras import camera, chain, still_images
 from starcal_ros.report.convergence import figure
-from starcal_ros.report.published import draw, published
+from starcal_ros.report.montecarlo_table import study
+from starcal_ros.report.reproduction_table import draw, published
 from starcal_ros.report.states import rows, summary, table
-from starcal_ros.report.study import study
 
 __all__ = ['camera', 'chain', 'draw', 'figure', 'published', 'rows', 'still_images', 'study',
            'summary', 'table']

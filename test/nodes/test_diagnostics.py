@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The diagnostics of the calibration are numbers that any viewer can plot."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +11,7 @@ pytest.importorskip('rclpy')
 
 from rclpy.clock import Clock  # noqa: E402
 
-from starcal_ros.config import parameter_file  # noqa: E402
+from instruments import TAN2018  # noqa: E402
 from starcal_ros.filter import verdict  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT  # noqa: E402
@@ -20,7 +19,7 @@ from starcal_ros.nodes.estimator_diagnostics import Diagnostics  # noqa: E402
 from starcal_ros.report.watch import tolerances  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
-SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
+SCENARIO = TAN2018.replace(
     {'simulation.duration_s': 20.0})
 
 

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages have the same contents, whether of rclpy's classes or of those of recordings."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ pytest.importorskip('rclpy')
 
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 
-from starcal_ros.config import parameter_file  # noqa: E402
+from instruments import TAN2018  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.core.camera import Detector  # noqa: E402
 from starcal_ros.core.camera_estimate import CameraEstimate  # noqa: E402
@@ -24,7 +23,7 @@ from starcal_ros.recording.writer import serialize, typestore  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 from starcal_ros.simulation.write_recording import CONTENTS as RECORDED  # noqa: E402
 
-SCENARIO = parameter_file.load(Path(__file__).parents[1] / 'config' / 'tan2018.yaml').replace(
+SCENARIO = TAN2018.replace(
     {'simulation.duration_s': 20.0})
 STAMP_NS = 1_782_993_600_123_456_789
 RNG = np.random.default_rng(5)

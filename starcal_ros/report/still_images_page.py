@@ -20,8 +20,8 @@ from starcal_ros.workflows.still_images.calibration import Refit, StillImageCame
 from starcal_ros.workflows.still_images.opencv_camera import KEYS
 
 
-def write_plate_page(path: str | Path, found: StillImageCamera, outcome: dict[str, Any],
-                     notices: list[str]) -> None:
+def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: dict[str, Any],
+                            notices: list[str]) -> None:
     """Write the report of a camera.
 
     Parameters
