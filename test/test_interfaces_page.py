@@ -34,19 +34,6 @@ def test_every_parameter_that_may_change_is_named():
             assert f'`{key}`' in TEXT or f'`{key.rpartition(".")[0]}.*`' in TEXT, key
 
 
-def test_publishers_of_the_estimator_are_as_the_table_of_topics_says():
-    table = {topic.name: topic for topic in TOPICS}
-    calls = [call for call in ast.walk(ast.parse((NODES / 'estimator_results.py').read_text()))
-             if isinstance(call, ast.Call) and getattr(call.func, 'attr', '') == '_publisher']
-    assert len(calls) >= 8
-    for call in calls:
-        kind, name = call.args
-        topic = table[name.value]
-        latched = {word.arg: word.value.value for word in call.keywords}.get('latched', True)
-        assert topic.type_name.endswith(f'/{kind.id}'), topic
-        assert topic.latched == latched and topic.result, topic
-
-
 def test_every_topic_and_service_is_named():
     topics = {topic.name for topic in TOPICS}
     assert len(topics) >= 14

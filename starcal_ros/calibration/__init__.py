@@ -28,7 +28,7 @@ def names() -> list[str]:
     return sorted(module.name for module in pkgutil.iter_modules(methods.__path__))
 
 
-def method(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMethod:
+def begin(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMethod:
     """Begin the method ``intrinsics.method``, for messages with increasing stamps.
 
     Parameters
@@ -50,5 +50,5 @@ def method(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMet
 
 
 def start(scenario: Scenario, known: CameraEstimate | None = None) -> CameraCalibrator:
-    """Begin the method ``intrinsics.method``, for messages as they arrive; else as `method`."""
-    return CameraCalibrator(scenario, partial(method, scenario, known))
+    """Begin the method ``intrinsics.method``, for messages as they arrive; else as `begin`."""
+    return CameraCalibrator(scenario, partial(begin, scenario, known))

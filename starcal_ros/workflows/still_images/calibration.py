@@ -170,7 +170,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
     for _ in range(_ROUNDS if site is None else _ROUNDS_IN_AIR):
         stars = StarDirections(scenario).of(images.frames)
         fitted = images.which(~images.heldout)
-        method = calibration.method(scenario)
+        method = calibration.begin(scenario)
         method.add_frames(fitted.frames)
         estimate = method.estimate()
         if estimate is None:
