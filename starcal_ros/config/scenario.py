@@ -21,6 +21,7 @@ from functools import cache
 import hashlib
 import json
 import math
+from types import ModuleType
 import typing
 from typing import Annotated, Any
 
@@ -108,9 +109,13 @@ class Scenario:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-@cache
 def parameters() -> Mapping[str, Parameter]:
     """Return every parameter of the suite by its dotted name, in the order of declaration."""
+    return _parameters(sources())
+
+
+@cache
+def _parameters(found: tuple[ModuleType, ...]) -> Mapping[str, Parameter]:
     return dict(declared(Scenario))
 
 

@@ -101,12 +101,15 @@ class TruthConfig:
         raise LookupError(f'{config.__module__} has no parameters in this scenario')
 
 
-@cache
 def sources() -> tuple[ModuleType, ...]:
     """Return the error sources: the modules of ``simulation/errors``, in their order."""
-    folder = import_module(_ERRORS)
+    return _sources(tuple(import_module(_ERRORS).__path__))
+
+
+@cache
+def _sources(folders: tuple[str, ...]) -> tuple[ModuleType, ...]:
     found = [import_module(f'{_ERRORS}.{module.name}')
-             for module in pkgutil.iter_modules(folder.__path__)]
+             for module in pkgutil.iter_modules(folders)]
     return tuple(sorted(found, key=lambda source: (order(source), source.__name__)))
 
 
@@ -115,7 +118,6 @@ def order(source: ModuleType) -> float:
     return getattr(source, 'ORDER', math.inf)
 
 
-@cache
 def default_truth() -> TruthConfig:
     """Return the group ``truth`` with the parameters of all error sources, each of them off.
 
@@ -124,9 +126,14 @@ def default_truth() -> TruthConfig:
     ConfigError
         Where two declare the same parameter.
     """
+    return _default(sources())
+
+
+@cache
+def _default(found: tuple[ModuleType, ...]) -> TruthConfig:
     truth = TruthConfig()
     parts: dict[str, list[type]] = {}
-    for source in sources():
+    for source in found:
         own = getattr(truth, source.GROUP, None)
         parts.setdefault(source.GROUP, [] if own is None else [type(own)]).append(source.Config)
     joined = {name: _joined(name, group) for name, group in parts.items()}

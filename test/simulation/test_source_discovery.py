@@ -58,7 +58,7 @@ def dropped(folder, **texts):
     for name, text in texts.items():
         (folder / f'{name}.py').write_text(text)
     errors.__path__.append(str(folder))
-    forget()
+    invalidate_caches()
     try:
         yield
     finally:
@@ -66,13 +66,6 @@ def dropped(folder, **texts):
         for name in texts:
             sys.modules.pop(f'{errors.__name__}.{name}', None)
             vars(errors).pop(name, None)
-        forget()
-
-
-def forget():
-    for found in (truth.sources, truth.default_truth, scenario.parameters):
-        found.cache_clear()
-    invalidate_caches()
 
 
 def setting(**values):
