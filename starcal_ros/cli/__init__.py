@@ -3,9 +3,9 @@
 """The command ``starcal``, one file a sub-command.
 
 A sub-command is a module of this package with ``SUMMARY``, ``DESCRIPTION``,
-``add_arguments(parser)`` and ``run(options)``, which returns the exit status: 0 done, 1 the data
-gave no calibration or a node failed, 2 wrong input. What takes long to import is imported by
-``run``.
+``add_arguments(parser)`` and ``run(options)``, which returns the exit status: 0 done, 1 no result,
+2 wrong input; of a calibration also 3 and 4, see `terminal.STATUS`. What takes long to import is
+imported by ``run``.
 """
 
 from __future__ import annotations
@@ -44,8 +44,9 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='starcal', description='Calibrate a star tracker and three gyros from the stars '
         'they see: principal point, focal length, distortion, gyro bias, mounting and attitude.',
-        epilog='Exit status: 0 done, 1 no calibration from this data, 2 wrong input. '
-               'For one command: starcal COMMAND --help')
+        epilog='Exit status: 0 done; 3 the result is written, but not yet inside the tolerances; '
+               '4 the result is written, but the data contradict the model; 1 no result; 2 wrong '
+               'input. For one command: starcal COMMAND --help')
     parser.add_argument('--version', action='version',
                         version=f'starcal_ros {starcal_ros.__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')

@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.cli.terminal import STATUS, progress, say, show
 from starcal_ros.config.parameter import ConfigError
 
 SUMMARY = 'calibrate without knowing camera or stars'
@@ -62,4 +62,4 @@ def run(options: argparse.Namespace) -> int:
     show(f'{(stars > 0).sum()} of {len(stars)} spots identified. {report.summary(outcome)}')
     if out is not None:
         result.write_json(out, outcome)
-    return 0
+    return STATUS[outcome['verdict']]

@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.cli.terminal import STATUS, progress, say, show
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
@@ -39,11 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    calibrate_recording(options.bag, arguments.scenario(options), Path(options.out),
-                        Path(options.figure) if options.figure else None,
-                        Path(options.report) if options.report else None,
-                        Path(options.export) if options.export else None)
-    return 0
+    calibrator = calibrate_recording(
+        options.bag, arguments.scenario(options), Path(options.out),
+        Path(options.figure) if options.figure else None,
+        Path(options.report) if options.report else None,
+        Path(options.export) if options.export else None)
+    from starcal_ros.results import result
+    return STATUS[result.word(calibrator)]
 
 
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
@@ -86,7 +88,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     show(report.summary(outcome))
     assert calibrator.belief is not None        # or result.result has told
-    judged = verdict.judge(calibrator.filter, calibrator.belief, calibrator.tracking)
+    judged = verdict.judge(calibrator.filter, calibrator.belief, calibrator.tracking,
+                           calibrator.consistency.statistics())
     show(f'Verdict: {judged.summary}')
     if figure is not None:
         report.figure(history, truth, figure)

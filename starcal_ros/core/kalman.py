@@ -137,3 +137,37 @@ def correct(root: Array, innovation: Innovation, use: Mask) -> tuple[Array, Arra
     # z' S^-1 z = z' (I - M A^-1 M') z, whitened.
     nis = np.einsum('...i,...i->...', z, z) - np.einsum('...i,...i->...', half, half)
     return x, root_new, nis
+
+
+def explained(innovation: Innovation, directions: Array, use: Mask) -> tuple[Array, Array]:
+    """Return what some directions explain of an innovation.
+
+    The combination of them that fits it best is ``N^-1 v``, of covariance ``N^-1``; it takes
+    ``v' N^-1 v`` out of the normalised innovation squared.
+
+    Parameters
+    ----------
+    innovation : Innovation
+        From `innovate`.
+    directions : (..., n, 2, k) array
+        Derivative of the whitened measurements.
+    use : (..., n) bool array
+        Pairs to use.
+
+    Returns
+    -------
+    N : (..., k, k) array
+        directions' S^-1 directions.
+    v : (..., k) array
+        directions' S^-1 z.
+    """
+    M, both = innovation.M, np.concatenate(
+        (directions, innovation.whitened[..., None]), axis=-1)
+    rows = (*use.shape[:-1], -1)
+    M = np.where(use[..., None, None], M, 0.0).reshape(*rows, M.shape[-1])
+    both = np.where(use[..., None, None], both, 0.0).reshape(*rows, both.shape[-1])
+    Mt = np.swapaxes(M, -1, -2)
+    # S^-1 = I - M (I + M' M)^-1 M'
+    half = np.linalg.solve(np.linalg.cholesky(np.eye(M.shape[-1]) + Mt @ M), Mt @ both)
+    gram = np.swapaxes(both, -1, -2) @ both - np.swapaxes(half, -1, -2) @ half
+    return gram[..., :-1, :-1], gram[..., :-1, -1]

@@ -33,3 +33,9 @@ def unix_ns(text: str) -> int:
     if when.tzinfo is None:
         when = when.replace(tzinfo=timezone.utc)
     return (when - datetime(1970, 1, 1, tzinfo=timezone.utc)) // timedelta(microseconds=1) * 1000
+
+
+def utc_text(stamp_ns: int) -> str:
+    """Return a stamp, ns since the Unix epoch, as an ISO 8601 time to the second."""
+    when = datetime(1970, 1, 1) + timedelta(seconds=stamp_ns // 10**9)
+    return when.isoformat(timespec='seconds')

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array
+from starcal_ros.filter.innovation_tests import gated_nis
 
 
 class Interval(NamedTuple):
@@ -38,18 +39,6 @@ def rms_interval(count: int, probability: float) -> Interval:
     """Return the interval of RMS over sigma of `count` independent normal errors."""
     low, high = np.sqrt(mean_interval(1.0, count, probability))
     return Interval(float(low), float(high))
-
-
-def gated_nis(gate_probability: float) -> float:
-    """Return the mean of NIS over its degrees of freedom behind a gate of two degrees each.
-
-    The gate takes the largest of the good stars, too: the mean of a chi-square number of two
-    degrees below its quantile g is ``2 - g q / (1 - q)``, q the part above.
-    """
-    above = 1.0 - gate_probability
-    if above == 0.0:
-        return 1.0
-    return float(1.0 - 0.5 * chi2.ppf(gate_probability, 2) * above / gate_probability)
 
 
 def nis_interval(degrees: float, gate_probability: float, probability: float) -> Interval:

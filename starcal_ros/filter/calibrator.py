@@ -27,8 +27,9 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.filter.acquisition import AcquisitionError, acquire
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
-from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
+from starcal_ros.filter.innovation_tests import Frame, InnovationTests, gated_nis
 from starcal_ros.filter.states import EPSILON, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.gyro_buffer import GyroBuffer
@@ -129,6 +130,7 @@ class Calibrator:
         self._gyro = GyroBuffer()
         self._frames = Frames.empty()                   # that wait for the gyro
         self._newest_frame_ns = NEVER_NS
+        self.consistency = InnovationTests(gated_nis(self._scenario.estimator.gate_probability))
         self._rejected_in_a_row = 0
         self._recent: deque[tuple[int, Array, int]] = deque()
         self._tracker = AttitudeTracker(self.filter, self._period_ns)
@@ -289,7 +291,8 @@ class Calibrator:
             if start is None:
                 continue
             belief, frame = start
-            update = self.filter.update(belief, frame)
+            update = self.filter.update(belief, frame, judged=True)
+            self._judge(belief.nominal, update)
             self.belief = update.belief
             usable = np.isfinite(stars.sigma[rows])
             self._account(update, usable)
@@ -324,6 +327,17 @@ class Calibrator:
             self._notices.say(f'attitude lost, found again at {self.stamp_ns} ns')
         found_belief, frame = found
         return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
+
+    def _judge(self, predicted: Nominal, update: Update) -> None:
+        """Compare what the frame said with what was promised of it."""
+        used = int(update.accepted.sum())
+        if used < 3 or update.turn is None or update.spread is None:
+            return
+        N, v = update.turn
+        L = np.asarray(np.linalg.cholesky(N), np.float64)
+        self.consistency.add(self.stamp_ns, Frame(
+            np.asarray(np.linalg.solve(L, v)), L, float(update.nis), used, float(update.spread),
+            predicted.C_sg @ (predicted.reading - predicted.bias)))
 
     def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())

@@ -87,6 +87,10 @@ class Update(NamedTuple):
         Normalised innovation squared of all the stars used together.
     residual : (..., n, 2) array
         Measured minus predicted centroid after the update, linearised [px].
+    turn : ((..., 3, 3), (..., 3)) arrays, optional
+        N and A' S^-1 z of Eq. (C.1) of `innovation_tests`, where asked for.
+    spread : (...) array, optional
+        Largest predicted spread of a centroid that was used, in its sigmas, likewise.
     """
 
     belief: Belief
@@ -94,6 +98,8 @@ class Update(NamedTuple):
     accepted: Mask
     nis: Array
     residual: Array
+    turn: tuple[Array, Array] | None = None
+    spread: Array | None = None
 
 
 class Filter:
@@ -242,7 +248,8 @@ class Filter:
                     shift = shift @ looked.C
         return (shift @ nominal.C_si if slopes else nominal.C_si), shift, slopes
 
-    def update(self, belief: Belief, stars: Stars, gated: bool = True) -> Update:
+    def update(self, belief: Belief, stars: Stars, gated: bool = True, judged: bool = False
+               ) -> Update:
         """Correct a belief with a frame (T18 Eq. 23 to 26).
 
         Parameters
@@ -253,6 +260,8 @@ class Filter:
             The frame.
         gated : bool
             Reject stars whose chi-square lies outside the gate.
+        judged : bool
+            Give what `innovation_tests` looks at.
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
         z, scale = uv - stars.uv, belief.nominal.augmentation.scale
@@ -266,7 +275,15 @@ class Filter:
         nominal = belief.nominal
         if self.feedback:
             nominal, error = nominal.without(error), np.zeros_like(error)
-        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual)
+        turn, spread = None, None
+        if judged:
+            turn = kalman.explained(
+                innovation, H[..., THETA] / stars.sigma[..., None, None], accepted)
+            spread = np.sqrt(np.max(np.where(
+                accepted[..., None], np.einsum('...i,...i->...', innovation.M, innovation.M), 0.0),
+                axis=(-2, -1), initial=0.0))
+        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual,
+                      turn, spread)
 
 
 def _times(A: Array, x: Array) -> Array:

@@ -22,10 +22,18 @@ The filter's own covariance is carried through a rotation by 30 degrees about ea
 axes and through a rest of the same length, each seen by a few frames of an even star field. The
 axis that lowers the sigmas most is recommended, if it does more than the rest: what more frames
 alone would settle needs no rotation. Which axis it is hardly depends on the noise that is assumed.
+
+The word
+--------
+A sigma is a promise of the model. `converged` needs every sigma inside its tolerance, stars that
+agree with the attitude, and innovations that keep the promise: where one of `innovation_tests`
+fails the data contradict the model, and the calibration is `inconsistent`, however small its
+sigmas are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,6 +45,7 @@ from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.units import DEG
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.innovation_tests import Statistic
 from starcal_ros.filter.states import CALIBRATED, N_STATES, PHI, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
@@ -54,6 +63,9 @@ _LOOKS = 6              # times that the stars are looked at on the way
 _LOOK_PX = 0.02         # sigma of a centroid of a look: some six frames of 0.05 px
 _GRID = 5               # stars of a look, along each side of the detector
 _WORTH = 0.9            # what a rotation may leave, at most, of the sigmas that a rest leaves
+
+
+CONVERGED, NOT_YET, INCONSISTENT, LOST = 'converged', 'not yet', 'inconsistent', 'lost'
 
 
 class State(NamedTuple):
@@ -103,6 +115,8 @@ class Verdict:
         Gyro axis, X, Y or Z, about which to rotate next; empty where frames alone will do.
     tracking : bool
         Whether the stars agree with the attitude.
+    statistics : tuple of Statistic
+        Tests of the innovations.
     """
 
     states: tuple[State, ...]
@@ -111,6 +125,7 @@ class Verdict:
     couplings: tuple[Coupling, ...]
     axis: str
     tracking: bool
+    statistics: tuple[Statistic, ...] = ()
 
     @property
     def outside(self) -> tuple[str, ...]:
@@ -118,9 +133,14 @@ class Verdict:
         return tuple(state.name for state in self.states if not state.within)
 
     @property
+    def word(self) -> str:
+        """One of the four words."""
+        return word(not self.outside, self.tracking, self.statistics)
+
+    @property
     def converged(self) -> bool:
-        """Whether every sigma is inside its tolerance and the attitude is held."""
-        return self.tracking and not self.outside
+        """Whether the calibration may be trusted as its covariance says."""
+        return self.word == CONVERGED
 
     @property
     def u0_psi_y(self) -> float:
@@ -135,11 +155,33 @@ class Verdict:
     @property
     def summary(self) -> str:
         """One sentence."""
-        if not self.tracking:
-            return 'not yet: most stars are rejected'
-        if not self.outside:
-            return 'converged'
-        return f'not yet: {", ".join(self.outside)}; {advice(self.axis)}'
+        if self.word == CONVERGED:
+            return CONVERGED
+        if self.word == LOST:
+            return f'{LOST}: most stars are rejected'
+        if self.word == INCONSISTENT:
+            failed = next(each for each in self.statistics if not each.passed)
+            return f'{INCONSISTENT}: {failed.sentence}'
+        return f'{NOT_YET}: {", ".join(self.outside)}; {advice(self.axis)}'
+
+
+def word(known: bool, tracking: bool, statistics: Sequence[Statistic]) -> str:
+    """Return the word for a calibration.
+
+    Parameters
+    ----------
+    known : bool
+        Whether every sigma is inside its tolerance.
+    tracking : bool
+        Whether the stars agree with the attitude.
+    statistics : sequence of Statistic
+        Tests of the innovations.
+    """
+    if not tracking:
+        return LOST
+    if not all(each.passed for each in statistics):
+        return INCONSISTENT
+    return CONVERGED if known else NOT_YET
 
 
 def advice(axis: str) -> str:
@@ -147,7 +189,8 @@ def advice(axis: str) -> str:
     return f'rotate about {axis}' if axis else 'more frames are needed'
 
 
-def judge(filter_: Filter, belief: Belief, tracking: bool = True) -> Verdict:
+def judge(filter_: Filter, belief: Belief, tracking: bool = True,
+          statistics: tuple[Statistic, ...] = ()) -> Verdict:
     """Return the verdict on a belief.
 
     Parameters
@@ -158,6 +201,8 @@ def judge(filter_: Filter, belief: Belief, tracking: bool = True) -> Verdict:
         Of one run.
     tracking : bool
         Whether the stars agree with the attitude.
+    statistics : tuple of Statistic
+        Tests of the innovations.
     """
     root = belief.state_root
     correlation = _correlation(belief, root)
@@ -178,7 +223,7 @@ def judge(filter_: Filter, belief: Belief, tracking: bool = True) -> Verdict:
         axis = _axis(ahead, stuck or np.flatnonzero(outside).tolist())
     return Verdict(states, correlation, equivalent_sigma(
         root, belief.estimate.intrinsics, filter_.detector.pitch_mm), tuple(couplings), axis,
-        tracking)
+        tracking, statistics)
 
 
 def equivalent_sigma(state_root: Array, intrinsics: Array, pitch_mm: float) -> Array:

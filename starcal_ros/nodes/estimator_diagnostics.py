@@ -46,7 +46,8 @@ class Diagnostics:
             return self._status('calibration', DiagnosticStatus.WARN, 'disabled', values)
         if belief is None:
             return self._status('calibration', DiagnosticStatus.WARN, 'no attitude yet', values)
-        judged = verdict.judge(calibrator.filter, belief, calibrator.tracking)
+        judged = verdict.judge(calibrator.filter, belief, calibrator.tracking,
+                               calibrator.consistency.statistics())
         values['not_told_apart'] = '; '.join(
             f'{", ".join(coupling.names)}: {verdict.advice(coupling.axis)}'
             for coupling in judged.couplings) or 'none'
@@ -60,8 +61,13 @@ class Diagnostics:
             numbers[f'sigma_{name}'], values[f'unit_{name}'] = sigma, unit
         for state in judged.states:
             numbers[f'tolerance_{state.name}'] = state.tolerance
+        for each in judged.statistics:
+            key = each.name.lower().replace(' ', '_')
+            numbers |= {key: each.value, f'{key}_low': each.low, f'{key}_high': each.high}
+        values['verdict'] = judged.word
         values.update({name: f'{number:.6g}' for name, number in numbers.items()})
-        level = DiagnosticStatus.OK if calibrator.tracking else DiagnosticStatus.ERROR
+        bad = judged.word in (verdict.LOST, verdict.INCONSISTENT)
+        level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
         return self._status('calibration', level, judged.summary, values)
 
     def _of_inputs(self) -> DiagnosticStatus:

@@ -137,7 +137,7 @@ def _residuals(calibration: Calibration) -> str:
 
 def _consistency(calibration: Calibration) -> str:
     figure, text = time_charts.consistency(calibration.history)
-    return section('consistency', 'Consistency', paragraph(text), charts([figure]))
+    return section('consistency', 'InnovationTests', paragraph(text), charts([figure]))
 
 
 def _distortion(calibration: Calibration) -> str:

@@ -88,6 +88,12 @@ def table(states: Sequence[Row], title: str) -> Table:
     return out
 
 
+_WORDS = {
+    'not yet': 'not converged to the tolerances',
+    'inconsistent': 'inconsistent, the sigmas are not to be believed: turns have {turns:.3g} '
+    'times the variance that they should have, centroids {centroids:.3g} times'}
+
+
 def summary(result: dict[str, Any]) -> str:
     """Return one sentence on what a RESULT.json rests on."""
     counts, (u, v) = result['counts'], result['reprojection_rms_px']
@@ -95,7 +101,8 @@ def summary(result: dict[str, Any]) -> str:
             f'{counts["rejected_stars"]} rejected, {counts["gyro"]} gyro readings, '
             f'{counts["gyro_gaps"]} gaps, {counts["dropped_messages"]} messages dropped; '
             f'reprojection error {u:.4f}, {v:.4f} px; '
-            + ('converged' if result['converged'] else 'not converged to the tolerances'))
+            + _WORDS.get(result['verdict'], result['verdict']).format(
+                **result['variance_factor']))
 
 
 def short(value: float) -> str:

@@ -17,7 +17,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
-from starcal_ros.filter.belief import Belief
+from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
 from starcal_ros.recording.reader import Recording
@@ -27,10 +27,12 @@ class CalibrationError(ValueError):
     """The messages give no calibration; the text says why."""
 
 
-def converged(calibrator: Calibrator, belief: Belief) -> bool:
-    """Tell whether each calibrated sigma is inside its tolerance and the attitude is held."""
-    known = (belief.sigma[CALIBRATED] <= calibrator.filter.tolerance).all()
-    return bool(known) and calibrator.tracking
+def word(calibrator: Calibrator) -> str:
+    """Return the verdict on a calibration in one of its four words."""
+    belief = calibrator.belief
+    known = belief is not None and bool(
+        (belief.sigma[CALIBRATED] <= calibrator.filter.tolerance).all())
+    return verdict.word(known, calibrator.tracking, calibrator.consistency.statistics())
 
 
 def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]:
@@ -48,8 +50,10 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
     dict
         ``covariance`` is that of the 16 states of `error_state` in its units: rad, rad/s, rad, px,
         px, mm, mm^-2, mm^-4, mm^-1, mm^-1. ``attitude_final`` is the integrated attitude at the
-        last gyro sample. ``augmented`` is there where states of `augmentation` are on: their
-        names, each with its unit, estimates and sigmas.
+        last gyro sample. ``consistency`` has each test of the innovations with its band, and
+        ``variance_factor`` how much larger than stated the variances are of what a turn of the
+        camera explains, and of the rest. ``augmented`` is there where states of `augmentation` are
+        on: their names, each with its unit, estimates and sigmas.
 
     Raises
     ------
@@ -61,7 +65,8 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
         raise CalibrationError(no_attitude(calibrator))
     estimate, sigma = belief.estimate, belief.sigma / UNIT
     stamp_ns, C_gi = calibrator.attitude_now()
-    counts = calibrator.counts
+    counts, said = calibrator.counts, word(calibrator)
+    turns, centroids = calibrator.consistency.variance_factors
     values = {
         'intrinsics': _named(estimate.intrinsics),
         'intrinsics_sigma': _named(sigma[LENS]),
@@ -78,7 +83,11 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
             'stamp_ns': stamp_ns,
             'quaternion_xyzw': rotation.to_quaternion(C_gi.T).tolist(),
         },
-        'converged': converged(calibrator, belief),
+        'verdict': said,
+        'converged': said == verdict.CONVERGED,
+        'consistency': [{**each._asdict(), 'passed': each.passed}
+                        for each in calibrator.consistency.statistics()],
+        'variance_factor': {'turns': turns, 'centroids': centroids},
         'counts': dataclasses.asdict(counts),
         'provenance': provenance,
     }

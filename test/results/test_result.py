@@ -12,7 +12,7 @@ from starcal_ros.core import rotation
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, PHI, UNIT
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.results.result import CalibrationError, converged, result, write_json
+from starcal_ros.results.result import CalibrationError, result, word, write_json
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
@@ -47,8 +47,8 @@ def test_keys_are_those_of_the_interface(outcome):
     intrinsics = {'u0_px', 'v0_px', 'f_mm', 'k1', 'k2', 'p1', 'p2'}
     assert set(outcome) == {
         'intrinsics', 'intrinsics_sigma', 'gyro_bias_deg_h', 'gyro_bias_sigma_deg_h', 'mounting',
-        'covariance', 'reprojection_rms_px', 'attitude_final', 'converged', 'counts',
-        'provenance'}
+        'covariance', 'reprojection_rms_px', 'attitude_final', 'verdict', 'converged',
+        'consistency', 'variance_factor', 'counts', 'provenance'}
     assert set(outcome['intrinsics']) == set(outcome['intrinsics_sigma']) == intrinsics
     assert set(outcome['mounting']) == {'quaternion_xyzw', 'fixed_angles_deg', 'sigma_arcsec'}
     assert set(outcome['attitude_final']) == {'stamp_ns', 'quaternion_xyzw'}
@@ -172,7 +172,8 @@ def test_calibration_has_converged_when_every_sigma_is_inside_its_tolerance(cali
     for factor, expected in ((1.01, True), (0.99, False)):
         scenario = SCENARIO.replace({f'estimator.tolerance.{key}': factor * float(value)
                                      for key, value in wide.items()})
-        assert converged(calibrated_with(calibrator, scenario), calibrator.belief) is expected
+        said = word(calibrated_with(calibrator, scenario))
+        assert (said == 'converged') is expected
 
 
 def calibrated_with(calibrator, scenario):

@@ -76,7 +76,7 @@ def test_command_shows_the_camera_after_each_step(tmp_path, capsys):
     bag, out, config = tmp_path / 'run.mcap', tmp_path / 'result.json', tmp_path / 'off.yaml'
     simulate(SCENARIO.replace({'simulation.duration_s': 360.0}), bag)
     config.write_text(parameter_file.dump(SCENARIO))
-    assert main(['bootstrap', str(bag), '--config', str(config), '--out', str(out)]) == 0
+    assert main(['bootstrap', str(bag), '--config', str(config), '--out', str(out)]) == 3
     result = json.loads(out.read_text())
     assert [step['step'] for step in result['steps']][-1] == '16 states'
     assert abs(result['intrinsics']['f_mm'] - TRUTH.intrinsics[2]) < 1e-3

@@ -1,0 +1,228 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the innovations are as large, and as free of pattern, as the covariance promises.
+
+Model
+-----
+The innovation z of the stars that a frame uses, divided by their sigmas, has the covariance
+``S = I + M M'`` (`core.kalman`), and A = d z / d theta, (2n, 3), is what a turn of the camera does
+to it. The turn that fits it best takes its share out of the normalised innovation squared ::
+
+    N = A' S^-1 A = L L',   e = L^-1 A' S^-1 z                                         (C.1)
+    z' S^-1 z = e' e + rest,   e ~ N(0, I), 3 degrees of freedom;   rest: 2 n - 3
+
+Gyro, attitude, bias and stamps act on e alone, centroids and camera on the rest: among some fifty
+degrees of freedom an angular random walk that is three times too large hides, in its own three it
+shows within minutes. Where the model is right the e of all frames are independent, so that their
+squares, their mean, their correlation from frame to frame and that with the rate of the camera
+have known distributions ::
+
+    sum e'e ~ chi2(3 N),   sum e / sqrt(N) ~ N(0, I),   sum e_k . e_k-1 / sqrt(3 N) ~ N(0, 1)
+    tau = sum w' A'S^-1 z / sum w' N w,   1 / sigma^2 = sum w' N w                     (C.2)
+
+with w the rate of the camera, in s: tau is the time by which the frames disagree with the gyro, so
+far as the states have not taken it up. All are two-sided. A statistic fails where chance gives
+its value, or one further out, less than `ALARM` of the time. Runs are also cut into windows of
+`WINDOW` frames; of these the worst counts, against `ALARM` for all of them together.
+
+Frames whose prediction is less certain than the stars themselves (the first ones, and those after
+a gap) are passed over: there the linear model is not good to what is asked here.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.utc import utc_text
+
+ALARM = 1e-5
+"""Probability with which a statistic fails though the model is right."""
+WINDOW = 120
+"""Frames of a window: a minute at 2 Hz."""
+SPREAD = 3.0
+"""Largest predicted spread of a centroid that is judged, in its sigmas."""
+
+_LEAST = 20             # frames before a statistic says anything
+
+
+class Statistic(NamedTuple):
+    """One test of the innovations.
+
+    Attributes
+    ----------
+    name : str
+        What is looked at.
+    value : float
+        What it is.
+    low, high : float
+        Band in which it is with the probability 1 - ALARM where the model is right.
+    samples : int
+        Frames or windows that it is made of.
+    since_ns : int or None
+        Stamp of the end of the window in which it failed first, and has failed since.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    samples: int
+    since_ns: int | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is in its band."""
+        return self.low <= self.value <= self.high
+
+    @property
+    def sentence(self) -> str:
+        """What it is, its band, and since when it is outside of that."""
+        since = '' if self.since_ns is None else f', since {utc_text(self.since_ns)}'
+        return f'{self.name} {self.value:.4g}, allowed {self.low:.4g} to {self.high:.4g}{since}'
+
+
+class Frame(NamedTuple):
+    """What a frame adds.
+
+    Attributes
+    ----------
+    e : (3,) array
+        Whitened turn, Eq. (C.1).
+    L : (3, 3) array
+        Root of its information [1/rad].
+    nis : float
+        z' S^-1 z of the stars used.
+    used : int
+        Their number.
+    spread : float
+        Largest predicted spread of a centroid, in its sigmas.
+    rate : (3,) array
+        Rate of the camera, in s [rad/s].
+    """
+
+    e: Array
+    L: Array
+    nis: float
+    used: int
+    spread: float
+    rate: Array
+
+
+class InnovationTests:
+    """The statistics of one run, at a constant cost a frame.
+
+    Parameters
+    ----------
+    gated : float
+        Mean of the squared residual of a star that passed the gate, over that of any star.
+    """
+
+    def __init__(self, gated: float) -> None:
+        self._gated = gated
+        self._run, self._window = _Sums(), _Sums()
+        self._worst = {'turn': 0.0, 'rest': 0.0}        # of all windows, in sigmas
+        self._windows = 0
+        self._last: Array | None = None
+        self._since: dict[str, int] = {}
+
+    def add(self, stamp_ns: int, frame: Frame) -> None:
+        """Take what a frame says, in the order of the stamps."""
+        if not (frame.spread < SPREAD and frame.used > 2):
+            self._last = None
+            return
+        for sums in (self._run, self._window):
+            sums.add(frame, self._last)
+        self._last = frame.e
+        if self._window.frames == WINDOW:
+            self._windows += 1
+            for name, deviation in (('turn', self._window.turn_deviation()),
+                                    ('rest', self._window.rest_deviation(self._gated))):
+                if abs(deviation) > abs(self._worst[name]):
+                    self._worst[name] = deviation
+            self._window = _Sums()
+            failing = {each.name for each in self.statistics() if not each.passed}
+            self._since = {name: self._since.get(name, stamp_ns) for name in failing}
+
+    def statistics(self) -> tuple[Statistic, ...]:
+        """Return all tests; none while there are too few frames."""
+        run, n = self._run, self._run.frames
+        if n < _LEAST:
+            return ()
+        far = float(norm.isf(ALARM / 2.0))
+        low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], 3 * n) / (3 * n)
+        found = [
+            ('NIS of the turns', run.turn / (3 * n), low, high, n),
+            ('NIS of the rest', run.rest / (run.freedom * self._gated),
+             *chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], run.freedom) / run.freedom, n),
+            ('mean of the turns', float(np.linalg.norm(run.e)) / np.sqrt(n), 0.0,
+             float(np.sqrt(chi2.isf(ALARM, 3))), n),
+            ('correlation of turns from frame to frame', run.lag / np.sqrt(3.0 * run.pairs or 1.0),
+             -far, far, n),
+            ('turns along the rate', run.along / np.sqrt(run.rate or 1.0), -far, far, n)]
+        if self._windows:
+            far = float(norm.isf(ALARM / 2.0 / self._windows))
+            found += [(f'worst window of the {what}', self._worst[name], -far, far, self._windows)
+                      for name, what in (('turn', 'turns'), ('rest', 'rest'))]
+        return tuple(Statistic(name, float(value), float(low), float(high), samples,
+                               self._since.get(name))
+                     for name, value, low, high, samples in found)
+
+    @property
+    def variance_factors(self) -> tuple[float, float]:
+        """How much larger than stated the variances of turn and rest are; 1 while unknown."""
+        if self._run.frames < _LEAST:
+            return 1.0, 1.0
+        return (self._run.turn / (3 * self._run.frames),
+                self._run.rest / (self._run.freedom * self._gated))
+
+
+class _Sums:
+    """Sums over frames."""
+
+    def __init__(self) -> None:
+        self.frames = self.freedom = self.pairs = 0
+        self.turn = self.rest = self.lag = self.along = self.rate = 0.0
+        self.e = np.zeros(3)
+
+    def add(self, frame: Frame, last: Array | None) -> None:
+        turn, w = float(frame.e @ frame.e), frame.rate @ frame.L
+        self.frames += 1
+        self.freedom += 2 * frame.used - 3
+        self.turn += turn
+        self.rest += frame.nis - turn
+        self.e = self.e + frame.e
+        self.along += float(w @ frame.e)
+        self.rate += float(w @ w)
+        if last is not None:
+            self.pairs += 1
+            self.lag += float(frame.e @ last)
+
+    def turn_deviation(self) -> float:
+        """Return how far e'e is from its mean, as a normal deviate."""
+        return _deviate(self.turn, 3 * self.frames)
+
+    def rest_deviation(self, gated: float) -> float:
+        """Return the same of the rest."""
+        return _deviate(self.rest / gated, self.freedom)
+
+
+def _deviate(value: float, freedom: int) -> float:
+    """Return the normal deviate that is as probable as a chi-square (Wilson and Hilferty 1931)."""
+    part = 2.0 / (9.0 * freedom)
+    return float((np.cbrt(max(value, 0.0) / freedom) - 1.0 + part) / np.sqrt(part))
+
+
+def gated_nis(gate_probability: float) -> float:
+    """Return the mean of NIS over its degrees of freedom behind a gate of two degrees each.
+
+    The gate takes the largest of the good stars, too: the mean of a chi-square number of two
+    degrees below its quantile g is ``2 - g q / (1 - q)``, q the part above.
+    """
+    above = 1.0 - gate_probability
+    if above == 0.0:
+        return 1.0
+    return float(1.0 - 0.5 * chi2.ppf(gate_probability, 2) * above / gate_probability)
