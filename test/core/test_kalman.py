@@ -86,6 +86,28 @@ def test_predict_without_motion_and_noise_keeps_the_covariance(case):
     assert_close(root @ root.T, case.P, 2 * N_STATES * EPS)
 
 
+# Roots
+
+def test_root_of_a_covariance_has_it_as_its_square_and_no_negative_part():
+    """Also of a batch; -1e-3 stands for what rounding leaves below zero."""
+    rng = np.random.default_rng(8)
+    turn = np.linalg.qr(rng.normal(size=(2, 3, 4, 4)))[0]
+    for values, kept in (([4.0, 1.0, 0.25, 1e-6],) * 2,
+                         ([4.0, 1.0, 0.25, -1e-3], [4.0, 1.0, 0.25, 0.0])):
+        root = kalman.root_of(turn * values @ np.swapaxes(turn, -1, -2))
+        assert_close(root @ np.swapaxes(root, -1, -2), turn * kept @ np.swapaxes(turn, -1, -2),
+                     20 * EPS)
+
+
+@pytest.mark.parametrize('k', [1, 3, 5])
+def test_marginal_root_has_the_corner_of_the_covariance_as_its_square(k):
+    root = np.random.default_rng(9).normal(size=(2, 3, 5, 5))
+    corner = kalman.marginal(root, k)
+    assert corner.shape == (2, 3, k, k)
+    assert_close(corner @ np.swapaxes(corner, -1, -2),
+                 (root @ np.swapaxes(root, -1, -2))[..., :k, :k], 20 * EPS)
+
+
 # Correct
 
 def test_correct_is_the_textbooks(case, textbook):
