@@ -57,7 +57,8 @@ os.environ['OPENBLAS_NUM_THREADS'] = '1'
 TOP = Path(__file__).resolve().parents[1]
 OUT = TOP / 'build' / 'mutations'
 TOOLS = ('mutmut==3.8.1', 'libcst==1.9.0', 'coverage==7.17.5')
-TESTS = ('test/filter', 'test/core/test_kalman.py', 'test/measurements')
+TESTS = ('test/core/test_kalman.py', 'test/filter', 'test/measurements',
+         'test/results/test_initial.py')
 MODULES = ('core/kalman.py', *sorted(
     f'filter/{path.name}' for path in (TOP / 'starcal_ros' / 'filter').glob('[!_]*.py')))
 OPTIONS = ('-q', '--tb=no', '-p', 'no:cacheprovider', '-p', 'no:xdist')
@@ -250,18 +251,19 @@ def follow(file: Path) -> int:
     """Run all tests once; write what they come by."""
     baseline = Baseline()
     baseline.cover.start()
-    for module in MODULES:                      # what the import runs concerns every test
+    for module in MODULES:                      # under no test's name
         __import__('starcal_ros.' + module[:-3].replace('/', '.'))
     code = pytest.main([*OPTIONS, *TESTS], plugins=[baseline])
     baseline.cover.stop()
     data, tests = baseline.cover.get_data(), {}
     for module in MODULES:
         lines = data.contexts_by_lineno(str(source(module)))
+        # What the import runs concerns all that come by a function of the module, or by none.
         known = {context for contexts in lines.values() for context in contexts} - {''}
         tests[module] = {line: {
             test for test, (_, own) in baseline.tests.items()
-            if (known if '' in contexts else set(contexts)).intersection(own)}
-            for line, contexts in lines.items()}
+            if not (known if '' in contexts else set(contexts)).isdisjoint(own)
+            or not known} for line, contexts in lines.items()}
     seconds = {test: taken for test, (taken, _) in baseline.tests.items()}
     file.write_bytes(pickle.dumps(Covered(seconds, tests)))
     return int(code)
