@@ -15,6 +15,7 @@ from starcal_ros.core.units import DEG
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PHI, PSI
 from starcal_ros.measurements import preintegration
+from starcal_ros.measurements.gyro_buffer import GyroBuffer
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
@@ -648,7 +649,7 @@ def test_gyro_without_frames_does_not_grow_without_bound():
 def held(calibrator):
     """Return how many readings and frames a calibrator keeps."""
     return sum(len(value) for value in vars(calibrator).values()
-               if isinstance(value, GyroSamples)) + calibrator.waiting
+               if isinstance(value, GyroBuffer)) + calibrator.waiting
 
 
 def test_frames_without_gyro_do_not_grow_without_bound(run):
