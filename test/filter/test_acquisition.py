@@ -2,18 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The attitude from one frame: accuracy, wrong star numbers, too few stars."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from instruments import PITCH_MM, TAN2018
 from starcal_ros.config.models import observer
-from starcal_ros.core import rotation
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.consensus import consensus
 from starcal_ros.core.units import DEG
+from starcal_ros.filter import acquisition
 from starcal_ros.filter.acquisition import MIN_STARS, AcquisitionError, acquire
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
-from starcal_ros.filter.states import CALIBRATED, SCALE, THETA
+from starcal_ros.filter.states import CALIBRATED, LENS, SCALE, THETA
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
@@ -90,6 +94,14 @@ def test_frame_fits_where_it_was_linearised(place):
 
 
 @pytest.mark.parametrize('place', PLACES)
+def test_fit_has_come_to_rest_where_it_ends(place):
+    """Its last step is less than 0.01 SCALE, so one more is, from errors of thousands of SCALE."""
+    belief, frame = acquire(FILTER, None, Look(place).stars)
+    again = FILTER.update(belief, frame, gated=False).belief.estimate
+    assert np.abs(again.minus(belief.nominal) / SCALE).max() < 0.01
+
+
+@pytest.mark.parametrize('place', PLACES)
 def test_known_camera_gives_the_attitude_to_the_noise_of_the_centroids(place):
     scenario = TAN2018.replace({
         'truth.camera.focal_length_mm': 25.5, 'truth.camera.principal_point_px': (0.0, 0.0),
@@ -140,6 +152,31 @@ def test_mixed_up_numbers_never_give_a_wrong_attitude(part):
     assert not wrong
 
 
+KNOWN = TAN2018.replace({f'estimator.initial_sigma.{name}': 1e-12 for name in (
+    'focal_length_mm', 'k1', 'k2', 'p1', 'p2')})
+
+
+@pytest.mark.parametrize('scenario', [TAN2018, KNOWN], ids=['nominal camera', 'known camera'])
+def test_stars_may_disagree_by_what_the_camera_may_be_wrong_by(monkeypatch, scenario):
+    """6 sigma of all but the principal point, where they do most, and 10 sigma of a centroid."""
+    given, look, filter_ = [], Look(0), Filter(scenario)
+
+    def watched(u_i, r_s, wrong):
+        given.append(wrong)
+        return consensus(u_i, r_s, wrong)
+
+    monkeypatch.setattr(acquisition, 'consensus', watched)
+    with suppress(AcquisitionError):                # the true camera is not the one that is known
+        acquire(filter_, None, look.stars)
+    lens, sigma = filter_.start.intrinsics, filter_.initial_sigma[LENS]
+    r_s = camera.unproject(look.stars.uv, lens, PITCH_MM)
+    # each moves a centroid in proportion, so its difference is exact
+    moved = [camera.project(r_s, lens + sigma * one, PITCH_MM) - look.stars.uv
+             for one in np.eye(7)[2:]]
+    spread = np.sqrt(np.sum(np.square(moved), axis=(0, 2))).max()
+    assert given == pytest.approx([(6.0 * spread + 10.0 * 0.05) * PITCH_MM / 25.5], rel=1e-6)
+
+
 @pytest.mark.parametrize('place', PLACES)
 def test_centroid_that_is_off_by_some_pixels_is_left_out(place):
     """Too little to be seen in the angles, while the camera may be wrong by as much."""
@@ -188,6 +225,22 @@ def test_too_few_stars_are_named_with_what_is_needed(count):
     text = rf'^[0-{count}] of {count} stars agree with the catalogue, 3 are needed'
     with pytest.raises(AcquisitionError, match=text):
         acquire(FILTER, None, stars)
+
+
+@pytest.mark.parametrize('count, right, enough', [(8, 4, True), (8, 3, False), (9, 5, True),
+                                                  (9, 4, False)])
+def test_half_of_the_stars_must_agree(count, right, enough):
+    look = Look(0)
+    numbers = look.frames.catalog_id.copy()
+    numbers[right:] = np.random.default_rng(6).choice(
+        catalog.load(6.0).hip, len(numbers) - right, replace=False)
+    stars = first(look.stars_as(numbers), count)
+    if enough:
+        assert np.isfinite(acquire(FILTER, None, stars)[1].sigma).sum() == right
+    else:
+        text = f'^{right} of {count} stars agree with the catalogue, {(count + 1) // 2} are needed'
+        with pytest.raises(AcquisitionError, match=text):
+            acquire(FILTER, None, stars)
 
 
 def test_three_stars_are_enough():
