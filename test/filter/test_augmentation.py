@@ -328,6 +328,14 @@ def test_batch_of_three_runs_equals_three_single_runs():
         np.testing.assert_allclose(after.augmented_sigma[k], expected.augmented_sigma, rtol=1e-8)
 
 
+def test_stacked_runs_are_the_batch_they_are_of():
+    values = [some_values(seed=k) for k in range(3)]
+    stacked = Nominal.stacked(values)
+    for part in ('C_gi', 'bias', 'C_sg', 'intrinsics', 'augmented', 'reading'):
+        np.testing.assert_array_equal(getattr(stacked, part), [getattr(v, part) for v in values])
+    assert stacked.augmentation is FILTER.augmentation
+
+
 def test_reacquired_belief_keeps_what_is_augmented():
     belief = Belief(some_values(), np.zeros(26), some_root())
     found = FILTER.reacquired(belief, np.eye(3))
