@@ -89,9 +89,12 @@ def test_states_are_those_of_T18_equation_21_each_with_a_unit_and_a_scale():
     assert len(STATE_NAMES) == len(STATE_UNITS) == len(UNIT) == len(SCALE) == N_STATES == 16
     slices = (PHI, EPSILON, PSI, LENS)
     assert np.hstack([np.arange(16)[part] for part in slices]).tolist() == list(range(16))
-    assert [STATE_NAMES[part][0] for part in slices] == ['phi_x', 'epsilon_x', 'psi_x', 'u0']
+    assert STATE_NAMES[:9] == tuple(f'{name}_{axis}' for name in ('phi', 'epsilon', 'psi')
+                                    for axis in 'xyz')
     assert STATE_NAMES[9:] == ('u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
-    assert len(set(STATE_NAMES)) == 16
+    assert [STATE_UNITS[part] for part in slices] == [
+        ('arcsec',) * 3, ('deg/h',) * 3, ('arcsec',) * 3,
+        ('px', 'px', 'mm', 'mm^-2', 'mm^-4', 'mm^-1', 'mm^-1')]
     # 1 arcsec = pi / 648000 rad, 1 deg/h the same in rad/s
     np.testing.assert_allclose(UNIT[:9], np.pi / 648000, rtol=1e-15)
     np.testing.assert_array_equal(UNIT[9:], 1.0)
@@ -385,6 +388,15 @@ def test_star_far_outside_the_field_is_not_used_however_uncertain_the_lens(off_a
     assert np.flatnonzero(~update.accepted).tolist() == [7]
 
 
+@pytest.mark.parametrize('toward', [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8)])
+def test_star_is_in_view_up_to_one_and_a_half_half_diagonals(toward):
+    """1024 x 1024 pixels: 1.5 * 512 sqrt(2) of them, by the nominal focal length."""
+    nominal, reach = some_values(), 1.5 * 512.0 * np.sqrt(2.0) * PITCH_MM / 25.5
+    tangents = np.array([[0.999], [1.001]]) * reach * np.array(toward)
+    u_i = np.column_stack((tangents, np.ones(2))) @ nominal.C_si
+    assert FILTER.predict_centroids(nominal, u_i)[2].tolist() == [True, False]
+
+
 def test_star_of_infinite_sigma_is_not_used_and_gives_no_warning():
     truth = some_values()
     frame = stars_of(truth)
@@ -478,6 +490,17 @@ def test_batch_begins_propagates_and_is_updated_as_single_runs_are():
         expected = FILTER.propagate(FILTER.begin(C_gi[k]), TURN)
         np.testing.assert_allclose(after.nominal.C_gi[k], expected.nominal.C_gi, atol=1e-14)
         np.testing.assert_allclose(after.covariance[k], expected.covariance, rtol=1e-10)
+
+
+def test_batch_is_reacquired_as_single_runs_are():
+    start = Belief(some_values(batch=(3,)), np.zeros((3, 16)), some_root(batch=(3,)))
+    C_gi = rotation.exp(np.random.default_rng(14).normal(size=(3, 3)))
+    found = FILTER.reacquired(start, C_gi)
+    for k in range(3):
+        expected = FILTER.reacquired(runs(start, k), C_gi[k])
+        np.testing.assert_array_equal(found.nominal.C_gi[k], C_gi[k])
+        np.testing.assert_allclose(covariance_of_theta(runs(found, k)),
+                                   covariance_of_theta(expected), rtol=1e-12, atol=0)
 
 
 # Consistency
