@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from instruments import PITCH_MM, TAN2018
-from starcal_ros.core import rotation
-from starcal_ros.core.units import ARCSEC
+from starcal_ros.core import camera, rotation
+from starcal_ros.core.units import ARCSEC, DEG
 from starcal_ros.filter import verdict
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Calibrator
@@ -17,7 +17,9 @@ from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import (CALIBRATED, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
                                        STATE_UNITS, THETA, UNIT)
-from starcal_ros.results.result import word
+from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
+from starcal_ros.measurements.samples import GyroSamples, Stars
+from starcal_ros.results.result import converged, word
 from starcal_ros.simulation import sensors
 
 FILTER = Filter(TAN2018)
@@ -139,6 +141,45 @@ def test_attitude_is_counted_in_star_tracker_axes():
     judged = verdict.judge(FILTER, Belief(belief.nominal, belief.error, root))
     np.testing.assert_allclose(np.diag(judged.correlation[PSI, PHI]), -1.0, atol=1e-6)
     assert names(judged) == [{f'attitude_{axis}', f'psi_{axis}'} for axis in 'xyz']
+
+
+# The advice
+
+
+def test_look_ahead_is_the_filter_after_a_rest_and_after_a_rotation_about_each_axis():
+    """Of gyro readings at 0.5 deg/s for 60 s; every 10 s a frame of 5 x 5 stars to 0.02 px."""
+    begun, expected = belief_with({'psi_x': 300.0, 'psi_z': 500.0, 'epsilon_y': 2.0}), []
+    stamps = np.arange(1, 1001) * 10**7
+    places = (np.arange(5) + 0.5) / 5.0 * 1024.0 - 512.0     # the middles of fifths of a side
+    uv = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+    for axis in (np.zeros(3), *np.eye(3)):
+        rate = np.tile(0.5 * DEG * axis + FILTER.start.bias, (1000, 1))
+        turn = preintegrate(GyroSamples(stamps, rate), np.array([0, 10**10]), FILTER.start.bias,
+                            1e7)
+        belief = begun
+        for _ in range(6):
+            belief = FILTER.propagate(belief, Preintegrated(*(part[0] for part in turn)))
+            nominal = belief.nominal
+            u_i = camera.unproject(uv, nominal.intrinsics, PITCH_MM) @ nominal.C_si
+            belief = FILTER.update(belief, Stars(u_i, uv, np.full(25, 0.02)), gated=False).belief
+        expected.append(belief.sigma)
+    np.testing.assert_allclose(verdict._look_ahead(FILTER, begun), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize('psi_x, psi_y, axis', [
+    ((0.5, 0.6, 0.7), (0.5, 0.6, 0.7), 'X'),
+    ((0.7, 0.8, 0.6), (0.7, 0.8, 0.6), 'Z'),
+    ((0.2, 0.6, 0.9), (1.2, 0.6, 0.9), 'X'),       # 0.49 on geometric average, 0.6, 0.9
+    ((0.95, 0.89, 0.99), (0.95, 0.89, 0.99), 'Y'),
+    ((0.95, 0.91, 0.99), (0.95, 0.91, 0.99), '')], ids=range(5))
+def test_axis_is_the_one_that_leaves_least_of_what_a_rest_leaves_if_it_is_less_than_0_9(
+        psi_x, psi_y, axis):
+    """Of the calibrated states asked for: that the attitude gains does not count."""
+    ahead = 3.0 * np.ones((4, N_STATES))
+    ahead[1:, INDEX['psi_x']] *= psi_x
+    ahead[1:, INDEX['psi_y']] *= psi_y
+    ahead[3, INDEX['phi_x']] = ahead[3, INDEX['f']] = 1e-3
+    assert verdict._axis(ahead, [INDEX[name] for name in ('phi_x', 'psi_x', 'psi_y')]) == axis
 
 
 # The real filter on the real scenario
