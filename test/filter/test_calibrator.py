@@ -12,6 +12,7 @@ from instruments import TAN2018
 from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
+from starcal_ros.filter import calibrator as calibrator_module
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PHI, PSI
 from starcal_ros.measurements import preintegration
@@ -185,6 +186,15 @@ def test_frames_between_gyro_samples_are_used_at_their_own_stamps():
 # What can not be used
 
 
+def test_belief_holds_the_reading_that_covers_its_frame_from_the_first_fix_on(run):
+    """While g turns; a time offset needs it. A reading covers the time up to its stamp."""
+    _, results = calibrated(run.gyro[3900:4600], run.frames[80:90])
+    rows = np.searchsorted(run.gyro.stamp_ns, [result.stamp_ns for result in results])
+    assert len(results) == 10
+    np.testing.assert_array_equal([result.belief.nominal.reading for result in results],
+                                  run.gyro.rate[rows])
+
+
 def altered(frames, **columns):
     """Return frames with whole columns replaced."""
     return replace(frames, **columns)
@@ -287,6 +297,17 @@ def test_empty_frames_are_counted_and_change_no_calibration(run):
     np.testing.assert_array_equal(during.belief.nominal.intrinsics,
                                   before.belief.nominal.intrinsics)
     assert (during.belief.tracker_sigma >= before.belief.tracker_sigma * (1 - 1e-9)).all()
+
+
+def test_frame_without_stars_speaks_neither_for_the_attitude_nor_against_it(run):
+    """Nor do more of them in a row than wrong ones are borne."""
+    stars = run.frames[:10]
+    count = SCENARIO.estimator.reacquire_after_frames + 3
+    first = np.append(stars.first, np.full(count, stars.first[-1]))
+    calibrator, _ = calibrated(run.gyro[:1500], replace(
+        stars, stamp_ns=run.frames.stamp_ns[:10 + count], first=first))
+    assert calibrator.counts.empty_frames >= count - 1      # the last may wait for one more
+    assert calibrator.tracking and calibrator.counts.acquisitions == 1
 
 
 def test_noise_in_place_of_messages_raises_nothing_and_leaves_the_belief_finite(run):
@@ -408,6 +429,15 @@ def test_clock_that_is_set_back_before_its_time_starts_the_estimates_again(run, 
     assert calibrator.counts.restarts == 1
 
 
+def test_frames_that_still_wait_when_the_clock_is_set_back_are_dropped_and_counted(run, at_once):
+    """The gyro ends at 58 s, the frames at 59.5 s; then the clocks of both go back."""
+    gyro = GyroSamples.concatenate((run.gyro[:5800], run.gyro))
+    calibrator, results = calibrated(gyro, Frames.concatenate((run.frames[:120], run.frames)))
+    assert_same(results[-180:], at_once[1])
+    assert calibrator.counts.restarts == 1
+    assert calibrator.counts.dropped_messages == 300 - len(results) == 3
+
+
 @pytest.mark.parametrize('topic', ['gyro', 'frames'])
 def test_clock_of_one_topic_that_is_wrong_for_a_while_costs_that_while(run, topic):
     """Its computer starts again, in 1970 until it has the time; the other goes on."""
@@ -432,13 +462,25 @@ def test_clock_of_one_topic_that_is_wrong_for_a_while_costs_that_while(run, topi
 # Missing messages
 
 
-def test_missing_messages_are_counted_from_the_stamps(run):
+@pytest.mark.parametrize('size', [1, 30, 180], ids=lambda size: f'{size} at a time')
+def test_missing_messages_are_counted_from_the_stamps(run, size):
     keep = ~np.isin(np.arange(180), [7, 100, 101, 102])
     frames = Frames.concatenate([run.frames[k:k + 1] for k in np.flatnonzero(keep)])
-    calibrator, _ = calibrated(without(run.gyro, (20.0, 20.03), (70.0, 70.07)), frames)
+    gyro = without(run.gyro, (20.0, 20.03), (70.0, 70.07))
+    calibrator = Calibrator(SCENARIO)
+    for k in range(0, 180, size):
+        feed(calibrator, gyro[50 * k:50 * (k + size)], frames[k:k + size])
     counts = calibrator.counts
     assert (counts.missing_frames, counts.gyro_gaps, counts.missing_gyro) == (4, 2, 10)
     assert counts.dropped_messages == 0
+
+
+@pytest.mark.parametrize('step_ns, gaps', [(15_000_000, 0), (15_000_001, 1)])
+def test_more_than_one_and_a_half_intervals_are_a_silence(run, step_ns, gaps):
+    stamps = run.gyro.stamp_ns[:200].copy()
+    stamps[100:] += step_ns - 10**7
+    calibrator, _ = calibrated(GyroSamples(stamps, run.gyro.rate[:200]), run.frames[:3])
+    assert (calibrator.counts.gyro, calibrator.counts.gyro_gaps) == (200, gaps)
 
 
 @pytest.mark.parametrize('low, high', [(10.0, 11.0), (50.0, 51.0), (15.0, 25.0), (45.0, 55.0)],
@@ -600,9 +642,24 @@ def test_track_takes_the_bias_off_the_rates(run):
                                   - calibrator.belief.estimate.bias)
 
 
-def test_track_is_as_uncertain_as_the_filter_would_be_at_its_end(run):
-    """29 s at rest after one frame, the bias known to 100 deg/h: 2900 arcsec, most of it all."""
-    scenario = SCENARIO.replace({'estimator.initial_sigma.gyro_bias_deg_h': 100.0})
+def test_rates_are_as_uncertain_as_a_reading_and_the_bias(run):
+    """A reading scatters by N / sqrt(dt), 0.001 deg/sqrt(h) at 100 Hz, each axis by itself."""
+    noise = np.eye(3) * (0.001 * DEG / 60.0)**2 / 0.01
+    np.testing.assert_allclose(Calibrator(SCENARIO).rate_covariance, noise, rtol=1e-12)
+    calibrator, _ = calibrated(run.gyro[:500], run.frames[:10])
+    bias = calibrator.belief.covariance[EPSILON, EPSILON]
+    np.testing.assert_allclose(calibrator.rate_covariance, noise + bias, rtol=1e-9)
+    assert (np.diag(bias) > 1e-6 * np.diag(noise)).all()
+
+
+@pytest.mark.parametrize('walk', [0.0, 3000.0])
+def test_track_is_as_uncertain_as_the_filter_would_be_at_its_end(run, walk):
+    """29 s at rest after one frame, the bias known to 100 deg/h: 2900 arcsec, most of it all.
+
+    A walk of the bias by 50 arcsec/s in the root of a second adds 50 * 29**1.5 / sqrt(3): 4500.
+    """
+    scenario = SCENARIO.replace({'estimator.initial_sigma.gyro_bias_deg_h': 100.0,
+                                 'estimator.process_noise.gyro_bias_deg_h_sqrt_h': walk})
     one = run.frames[:1]            # believed when another, empty one follows
     frames = replace(one, stamp_ns=run.frames.stamp_ns[:2], first=one.first[[0, 1, 1]])
     calibrator, _ = calibrated(run.gyro[:2900], frames, scenario)
@@ -666,6 +723,13 @@ def test_frames_without_gyro_do_not_grow_without_bound(run):
         assert calibrator.waiting <= 20_000
         assert calibrator.counts.dropped_messages >= 30_000
         assert calibrator.take_notices()
+
+
+def test_frames_that_the_gyro_has_reached_are_used_however_many(run, monkeypatch):
+    """The bound, here of 9, is on those that wait alone."""
+    monkeypatch.setattr(calibrator_module, 'FRAMES_KEPT', 9)
+    calibrator, results = calibrated(run.gyro, run.frames)
+    assert len(results) == 180 and calibrator.counts.dropped_messages == 0
 
 
 def test_used_messages_are_forgotten(run, at_once):
