@@ -19,7 +19,7 @@ from starcal_ros.filter.states import (CALIBRATED, N_STATES, PHI, PSI, SCALE, ST
                                        STATE_UNITS, THETA, UNIT)
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import GyroSamples, Stars
-from starcal_ros.results.result import converged, word
+from starcal_ros.results.result import word
 from starcal_ros.simulation import sensors
 
 FILTER = Filter(TAN2018)
