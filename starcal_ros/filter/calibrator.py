@@ -292,7 +292,7 @@ class Calibrator:
                 continue
             belief, frame = start
             update = self.filter.update(belief, frame, judged=True)
-            self._judge(belief.nominal, update)
+            self._judge(belief.nominal, update, frames.catalog_id[rows])
             self.belief = update.belief
             usable = np.isfinite(stars.sigma[rows])
             self._account(update, usable)
@@ -328,16 +328,17 @@ class Calibrator:
         found_belief, frame = found
         return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
 
-    def _judge(self, predicted: Nominal, update: Update) -> None:
+    def _judge(self, predicted: Nominal, update: Update, catalog_id: Ints) -> None:
         """Compare what the frame said with what was promised of it."""
         used = int(update.accepted.sum())
-        if used < 3 or update.turn is None or update.spread is None:
+        if used < 3 or update.turn is None or update.spread is None or update.normal is None:
             return
         N, v = update.turn
         L = np.asarray(np.linalg.cholesky(N), np.float64)
         self.consistency.add(self.stamp_ns, Frame(
             np.asarray(np.linalg.solve(L, v)), L, float(update.nis), used, float(update.spread),
-            predicted.C_sg @ (predicted.reading - predicted.bias)))
+            predicted.C_sg @ (predicted.reading - predicted.bias),
+            catalog_id[update.accepted], update.normal[update.accepted]))
 
     def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())

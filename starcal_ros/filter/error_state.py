@@ -91,6 +91,9 @@ class Update(NamedTuple):
         N and A' S^-1 z of Eq. (C.1) of `innovation_tests`, where asked for.
     spread : (...) array, optional
         Largest predicted spread of a centroid that was used, in its sigmas, likewise.
+    normal : (..., n, 2) array, optional
+        Predicted minus measured centroid, each coordinate divided by its standard deviation,
+        likewise.
     """
 
     belief: Belief
@@ -100,6 +103,7 @@ class Update(NamedTuple):
     residual: Array
     turn: tuple[Array, Array] | None = None
     spread: Array | None = None
+    normal: Array | None = None
 
 
 class Filter:
@@ -275,15 +279,16 @@ class Filter:
         nominal = belief.nominal
         if self.feedback:
             nominal, error = nominal.without(error), np.zeros_like(error)
-        turn, spread = None, None
+        turn, spread, normal = None, None, None
         if judged:
             turn = kalman.explained(
                 innovation, H[..., THETA] / stars.sigma[..., None, None], accepted)
-            spread = np.sqrt(np.max(np.where(
-                accepted[..., None], np.einsum('...i,...i->...', innovation.M, innovation.M), 0.0),
-                axis=(-2, -1), initial=0.0))
+            variance = np.einsum('...i,...i->...', innovation.M, innovation.M)
+            spread = np.sqrt(np.max(np.where(accepted[..., None], variance, 0.0), axis=(-2, -1),
+                                    initial=0.0))
+            normal = innovation.whitened / np.sqrt(1.0 + variance)
         return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual,
-                      turn, spread)
+                      turn, spread, normal)
 
 
 def _times(A: Array, x: Array) -> Array:

@@ -21,9 +21,14 @@ have known distributions ::
     tau = sum w' A'S^-1 z / sum w' N w,   1 / sigma^2 = sum w' N w                     (C.2)
 
 with w the rate of the camera, in s: tau is the time by which the frames disagree with the gyro, so
-far as the states have not taken it up. All are two-sided. A statistic fails where chance gives
-its value, or one further out, less than `ALARM` of the time. Runs are also cut into windows of
-`WINDOW` frames; of these the worst counts, against `ALARM` for all of them together.
+far as the states have not taken it up. Likewise each coordinate of a star, its innovation divided
+by its own standard deviation, adds up to N(0, n) over n frames; the worst star is looked at.
+
+All are two-sided. A statistic fails where chance gives its value, or one further out, less than
+`ALARM` of the time. Runs are also cut into windows of `WINDOW` frames; of these the worst counts,
+against `ALARM` for all of them together. Nobody knows a noise to per cents, and a calibration is
+not biased by that, so the squares may be larger or smaller than stated by `MARGIN` beyond chance;
+no margin is given to what biases it: mean, correlation, displaced stars.
 
 Frames whose prediction is less certain than the stars themselves (the first ones, and those after
 a gap) are passed over: there the linear model is not good to what is asked here.
@@ -36,17 +41,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2, norm
 
-from starcal_ros.core.arrays import Array
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.utc import utc_text
 
 ALARM = 1e-5
 """Probability with which a statistic fails though the model is right."""
 WINDOW = 120
 """Frames of a window: a minute at 2 Hz."""
+MARGIN = 1.2
+"""Factor by which the variances of turns and rest may be off: sigmas that are off by a tenth."""
 SPREAD = 3.0
 """Largest predicted spread of a centroid that is judged, in its sigmas."""
 
-_LEAST = 20             # frames before a statistic says anything
+_LEAST = 20             # frames, of all or of a star, before a statistic says anything
 
 
 class Statistic(NamedTuple):
@@ -102,6 +109,10 @@ class Frame(NamedTuple):
         Largest predicted spread of a centroid, in its sigmas.
     rate : (3,) array
         Rate of the camera, in s [rad/s].
+    catalog_id : (n,) int64 array
+        Catalogue numbers of the stars used.
+    normal : (n, 2) array
+        Their innovations, each coordinate divided by its standard deviation.
     """
 
     e: Array
@@ -110,6 +121,8 @@ class Frame(NamedTuple):
     used: int
     spread: float
     rate: Array
+    catalog_id: Ints
+    normal: Array
 
 
 class InnovationTests:
@@ -128,6 +141,7 @@ class InnovationTests:
         self._windows = 0
         self._last: Array | None = None
         self._since: dict[str, int] = {}
+        self._stars: dict[int, _Star] = {}
 
     def add(self, stamp_ns: int, frame: Frame) -> None:
         """Take what a frame says, in the order of the stamps."""
@@ -137,6 +151,8 @@ class InnovationTests:
         for sums in (self._run, self._window):
             sums.add(frame, self._last)
         self._last = frame.e
+        for number, (u, v) in zip(frame.catalog_id.tolist(), frame.normal.tolist()):
+            self._stars.setdefault(number, _Star()).add(u, v)
         if self._window.frames == WINDOW:
             self._windows += 1
             for name, deviation in (('turn', self._window.turn_deviation()),
@@ -155,9 +171,10 @@ class InnovationTests:
         far = float(norm.isf(ALARM / 2.0))
         low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], 3 * n) / (3 * n)
         found = [
-            ('NIS of the turns', run.turn / (3 * n), low, high, n),
+            ('NIS of the turns', run.turn / (3 * n), low / MARGIN, high * MARGIN, n),
             ('NIS of the rest', run.rest / (run.freedom * self._gated),
-             *chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], run.freedom) / run.freedom, n),
+             *chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], run.freedom) / run.freedom
+             * [1.0 / MARGIN, MARGIN], n),
             ('mean of the turns', float(np.linalg.norm(run.e)) / np.sqrt(n), 0.0,
              float(np.sqrt(chi2.isf(ALARM, 3))), n),
             ('correlation of turns from frame to frame', run.lag / np.sqrt(3.0 * run.pairs or 1.0),
@@ -167,6 +184,11 @@ class InnovationTests:
             far = float(norm.isf(ALARM / 2.0 / self._windows))
             found += [(f'worst window of the {what}', self._worst[name], -far, far, self._windows)
                       for name, what in (('turn', 'turns'), ('rest', 'rest'))]
+        stars = [star.worst for star in self._stars.values() if star.frames >= _LEAST]
+        if stars:
+            far = float(norm.isf(ALARM / 4.0 / len(stars)))
+            found.append(('displacement of the worst star', max(stars, key=abs), -far, far,
+                          len(stars)))
         return tuple(Statistic(name, float(value), float(low), float(high), samples,
                                self._since.get(name))
                      for name, value, low, high, samples in found)
@@ -202,12 +224,33 @@ class _Sums:
             self.lag += float(frame.e @ last)
 
     def turn_deviation(self) -> float:
-        """Return how far e'e is from its mean, as a normal deviate."""
-        return _deviate(self.turn, 3 * self.frames)
+        """Return how far e'e is beyond the margin about its mean, as a normal deviate."""
+        return _beyond(self.turn, 3 * self.frames)
 
     def rest_deviation(self, gated: float) -> float:
         """Return the same of the rest."""
-        return _deviate(self.rest / gated, self.freedom)
+        return _beyond(self.rest / gated, self.freedom)
+
+
+class _Star:
+    """The innovations of one star: how often it was used, and the sums of its coordinates."""
+
+    def __init__(self) -> None:
+        self.frames, self.u, self.v = 0, 0.0, 0.0
+
+    def add(self, u: float, v: float) -> None:
+        self.frames, self.u, self.v = self.frames + 1, self.u + u, self.v + v
+
+    @property
+    def worst(self) -> float:
+        """The larger of the two sums, as a normal deviate."""
+        return max(self.u, self.v, key=abs) / float(np.sqrt(self.frames))
+
+
+def _beyond(value: float, freedom: int) -> float:
+    """Return the deviate of a chi-square from its margin, 0 inside."""
+    return max(_deviate(value / MARGIN, freedom), 0.0) + min(
+        _deviate(value * MARGIN, freedom), 0.0)
 
 
 def _deviate(value: float, freedom: int) -> float:

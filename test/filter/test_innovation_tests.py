@@ -86,7 +86,7 @@ def noise(n, rng, scale=1.0, used=25):
         e = scale * rng.normal(size=3)
         rest = rng.chisquare(2 * used - 3)
         yield Frame(e, 1e5 * rotation.exp(rng.normal(size=3)), float(e @ e + rest), used, 0.5,
-                    0.01 * rng.normal(size=3))
+                    0.01 * rng.normal(size=3), np.arange(used), rng.normal(size=(used, 2)))
 
 
 def test_frames_of_a_right_model_pass_in_all_of_300_runs():
@@ -105,7 +105,7 @@ def test_bands_hold_what_they_promise():
         for k, frame in enumerate(noise(40, rng)):
             tests.add(k, frame)
         values.append([each.value for each in tests.statistics()])
-    turn, rest, mean, lag, along = np.array(values).T
+    turn, rest, mean, lag, along, _ = np.array(values).T
     assert np.mean(turn) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 120 / 400))
     assert np.mean(rest) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 1880 / 400))
     assert np.mean(mean**2) == pytest.approx(3.0, abs=4 * np.sqrt(6 / 400))
@@ -123,6 +123,24 @@ def test_a_failing_statistic_says_since_when():
     since = (turns.since_ns - 1_782_993_600 * 10**9) / 5e8
     assert 5 * WINDOW < since <= 6 * WINDOW
     assert ', since 2026-07-02T12:0' in turns.sentence
+
+
+def test_a_noise_that_is_off_by_a_tenth_passes_and_one_by_a_fifth_does_not():
+    for scale, passed in ((0.93, True), (1.07, True), (0.8, False), (1.2, False)):
+        tests, rng = InnovationTests(1.0), np.random.default_rng(5)
+        for k, frame in enumerate(noise(20 * WINDOW, rng)):
+            tests.add(k, frame._replace(e=scale * frame.e, nis=scale**2 * frame.nis))
+        assert all(each.passed for each in tests.statistics()) is passed, scale
+
+
+def test_one_star_of_many_that_is_displaced_is_found_and_by_how_much():
+    tests, rng = InnovationTests(1.0), np.random.default_rng(6)
+    for k, frame in enumerate(noise(100, rng)):
+        frame.normal[7, 1] += 1.0
+        tests.add(k, frame)
+    star = tests.statistics()[-1]
+    assert star.name == 'displacement of the worst star' and not star.passed
+    assert star.value == pytest.approx(10.0, abs=4.0) and star.samples == 25
 
 
 def test_frames_that_are_not_certain_or_too_small_are_passed_over():
@@ -175,6 +193,13 @@ def longer(um):
     return spoil
 
 
+def displaced(gyro, frames):
+    """Move three stars by 8 arcsec, 0.15 px."""
+    uv = frames.uv_raster.copy()
+    uv[np.isin(frames.catalog_id, np.unique(frames.catalog_id)[:3])] += 0.15
+    return gyro, replace(frames, uv_raster=uv)
+
+
 def boot_time(gyro, frames):
     back = gyro.stamp_ns[0] - 10**10
     return (GyroSamples(gyro.stamp_ns - back, gyro.rate),
@@ -186,7 +211,8 @@ def boot_time(gyro, frames):
     ({}, late(2.0), 'turns along the rate'),
     ({}, fast_clock(10.0), 'NIS of the turns'),
     ({}, boot_time, 'NIS of the turns'),
-    ({'truth.gyro.arw_deg_sqrt_h': 0.003}, None, 'NIS of the turns'),
+    ({}, displaced, 'displacement of the worst star'),
+    ({'truth.gyro.arw_deg_sqrt_h': 0.003}, None, 'correlation of turns from frame to frame'),
     ({'truth.gyro.arw_deg_sqrt_h': 0.01}, None, 'NIS of the turns'),
     ({}, bias_jump(1.0), 'mean of the turns'),
     ({}, bias_jump(0.1), 'mean of the turns'),
@@ -195,7 +221,7 @@ def boot_time(gyro, frames):
     ({'truth.star_tracker.centroid_sigma_px': 0.15}, None, 'NIS of the rest'),
     ({'truth.star_tracker.centroid_sigma_px': 0.03}, None, 'NIS of the rest'),
     ({'truth.star_tracker.smear': True}, None, 'NIS of the rest'),
-], ids=['5 ms late', '2 ms late', 'clock 10 ppm', 'boot time', 'walk x 3', 'walk x 10',
+], ids=['5 ms late', '2 ms late', 'clock 10 ppm', 'boot time', 'three stars', 'walk x 3', 'walk x 10',
         'bias jump 1', 'bias jump 0.1', 'longer by 5 um', 'scale 300 ppm', 'noise x 3',
         'noise x 0.6', 'smear'])
 def test_a_wrong_model_is_named_and_can_not_have_converged(settings, spoil, test):
