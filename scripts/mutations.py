@@ -16,8 +16,8 @@ with their diffs to `build/mutations/survivors.txt`. Judged survivors are kept i
 A mutant is one of mutmut's changes (a number plus one, an operator for its opposite, an argument
 left out, a condition turned round, ...) or one of two more, a comparison negated and a transpose
 left out, at one place of one module. Left out are those that put None where a value stood, which
-whatever runs the line notices. mutmut itself would not do: it calls each function through a
-wrapper, which NamedTuple, dataclasses and properties do not bear.
+whatever runs the line notices. Only mutmut's changes are used: its own runner leaves properties
+and the constants of a module as they are, which much of the filter is made of.
 
 First the tests are run once, to learn which of them come by each statement and how long they take.
 Each mutant then has a process of its own, forked where numpy and scipy are imported and the
@@ -27,8 +27,8 @@ seconds, which are statistics of many runs, are left out.
 
 mutmut and coverage are installed into `build/mutations/tools` where they are missing. The first
 run of the tests takes three minutes, and again when a file has changed; then 300 mutants take some
-15 minutes, a survivor up to half a minute. Ctrl-C ends the run and prints what there is. The same
-seed gives the same mutants as long as the modules are the same.
+25 minutes, of which a survivor takes up to half a minute. Ctrl-C ends the run and prints what
+there is. The same seed gives the same mutants as long as the modules are the same.
 """
 
 from __future__ import annotations
@@ -335,8 +335,8 @@ def apart(function: Any, *arguments: Any, limit_s: float) -> int | None:
             if done:
                 return os.waitstatus_to_exitcode(status)
             time.sleep(0.02)
-    except BaseException:
-        os.kill(pid, signal.SIGKILL)
+    except KeyboardInterrupt:
+        os.killpg(pid, signal.SIGKILL)
         raise
     os.killpg(pid, signal.SIGKILL)
     os.waitpid(pid, 0)
