@@ -168,9 +168,10 @@ def test_history_has_a_row_of_what_each_frame_gave():
     np.testing.assert_allclose(history.equivalent_sigma[9], equivalent, rtol=1e-12)
 
 
-def test_progress_is_told_up_to_the_end(recording):
+def test_progress_is_told_up_to_the_end():
     told = []
-    calibrate(recording.gyro[:6000], recording.frames[:101], SHORT, told.append)
+    calibrate(sensors.gyro(SHORT).next(6000), sensors.star_tracker(SHORT).next(101), SHORT,
+              told.append)
     assert told == [100 / 101, 1.0]             # every 100 frames, and at the end
 
 
