@@ -221,9 +221,9 @@ def boot_time(gyro, frames):
     ({'truth.star_tracker.centroid_sigma_px': 0.15}, None, 'NIS of the rest'),
     ({'truth.star_tracker.centroid_sigma_px': 0.03}, None, 'NIS of the rest'),
     ({'truth.star_tracker.smear': True}, None, 'NIS of the rest'),
-], ids=['5 ms late', '2 ms late', 'clock 10 ppm', 'boot time', 'three stars', 'walk x 3', 'walk x 10',
-        'bias jump 1', 'bias jump 0.1', 'longer by 5 um', 'scale 300 ppm', 'noise x 3',
-        'noise x 0.6', 'smear'])
+], ids=['5 ms late', '2 ms late', 'clock 10 ppm', 'boot time', 'three stars', 'walk x 3',
+        'walk x 10', 'bias jump 1', 'bias jump 0.1', 'longer by 5 um', 'scale 300 ppm',
+        'noise x 3', 'noise x 0.6', 'smear'])
 def test_a_wrong_model_is_named_and_can_not_have_converged(settings, spoil, test):
     calibrator = calibrated(settings, spoil)
     assert test in failed(calibrator)
