@@ -182,3 +182,13 @@ def test_an_import_against_the_table_is_found(tmp_path, where, line):
     path.parent.mkdir(parents=True)
     path.write_text(f'import numpy\nfrom starcal_ros.core import units\n{line}\n')
     assert len(misplaced(tmp_path / 'starcal_ros')) == 1
+
+
+def test_a_class_name_has_one_meaning():
+    """But for `Config`, which each error source has by agreement."""
+    where = {}
+    for path in PACKAGE.rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef) and node.name != 'Config':
+                where.setdefault(node.name, []).append(path.relative_to(PACKAGE).as_posix())
+    assert {name: paths for name, paths in where.items() if len(paths) > 1} == {}

@@ -29,7 +29,7 @@ from starcal_ros.filter.acquisition import AcquisitionError, acquire
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
-from starcal_ros.filter.innovation_tests import Frame, InnovationTests, gated_nis
+from starcal_ros.filter.innovation_tests import FrameInnovation, InnovationTests, gated_nis
 from starcal_ros.filter.states import EPSILON, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.gyro_buffer import GyroBuffer
@@ -335,7 +335,7 @@ class Calibrator:
             return
         N, v = update.turn
         L = np.asarray(np.linalg.cholesky(N), np.float64)
-        self.consistency.add(self.stamp_ns, Frame(
+        self.consistency.add(self.stamp_ns, FrameInnovation(
             np.asarray(np.linalg.solve(L, v)), L, float(update.nis), used, float(update.spread),
             predicted.C_sg @ (predicted.reading - predicted.bias),
             catalog_id[update.accepted], update.normal[update.accepted]))

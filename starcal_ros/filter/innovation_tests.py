@@ -92,7 +92,7 @@ class Statistic(NamedTuple):
         return f'{self.name} {self.value:.4g}, allowed {self.low:.4g} to {self.high:.4g}{since}'
 
 
-class Frame(NamedTuple):
+class FrameInnovation(NamedTuple):
     """What a frame adds.
 
     Attributes
@@ -143,7 +143,7 @@ class InnovationTests:
         self._since: dict[str, int] = {}
         self._stars: dict[int, _Star] = {}
 
-    def add(self, stamp_ns: int, frame: Frame) -> None:
+    def add(self, stamp_ns: int, frame: FrameInnovation) -> None:
         """Take what a frame says, in the order of the stamps."""
         if not (frame.spread < SPREAD and frame.used > 2):
             self._last = None
@@ -210,7 +210,7 @@ class _Sums:
         self.turn = self.rest = self.lag = self.along = self.rate = 0.0
         self.e = np.zeros(3)
 
-    def add(self, frame: Frame, last: Array | None) -> None:
+    def add(self, frame: FrameInnovation, last: Array | None) -> None:
         turn, w = float(frame.e @ frame.e), frame.rate @ frame.L
         self.frames += 1
         self.freedom += 2 * frame.used - 3

@@ -27,7 +27,7 @@ def instants_ns(exposure_s: float) -> list[int]:
 
 
 @dataclass(frozen=True)
-class StarImages:
+class ImagedStars:
     """Where the stars of some frames fall on the detector, before noise.
 
     Attributes

@@ -23,7 +23,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.simulation.errors import switched_on
-from starcal_ros.simulation.star_images import StarImages
+from starcal_ros.simulation.star_images import ImagedStars
 from starcal_ros.simulation.star_view import StarView
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky.catalog import Catalog
@@ -87,8 +87,8 @@ class StarTrackerSimulator:
     def _observe(self, stamps_ns: Ints) -> Frames:
         middle_ns = stamps_ns - self._late_ns
         frame, star, u_i = self._view.near(middle_ns)
-        images = StarImages(middle_ns, frame, self._view.at(middle_ns, frame, u_i),
-                            partial(self._view.trail, middle_ns, frame, u_i))
+        images = ImagedStars(middle_ns, frame, self._view.at(middle_ns, frame, u_i),
+                             partial(self._view.trail, middle_ns, frame, u_i))
         for move in self._on_images:
             images = move(images)
         seen = self.truth.detector.contains(images.uv)

@@ -12,8 +12,8 @@ from instruments import TAN2018
 from starcal_ros.core import kalman, rotation
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.filter.innovation_tests import (ALARM, WINDOW, Frame, InnovationTests, _deviate,
-                                                 gated_nis)
+from starcal_ros.filter.innovation_tests import (ALARM, WINDOW, FrameInnovation, InnovationTests,
+                                                 _deviate, gated_nis)
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.results.result import result, word
 from starcal_ros.simulation import sensors
@@ -85,8 +85,9 @@ def noise(n, rng, scale=1.0, used=25):
     for _ in range(n):
         e = scale * rng.normal(size=3)
         rest = rng.chisquare(2 * used - 3)
-        yield Frame(e, 1e5 * rotation.exp(rng.normal(size=3)), float(e @ e + rest), used, 0.5,
-                    0.01 * rng.normal(size=3), np.arange(used), rng.normal(size=(used, 2)))
+        yield FrameInnovation(
+            e, 1e5 * rotation.exp(rng.normal(size=3)), float(e @ e + rest), used, 0.5,
+            0.01 * rng.normal(size=3), np.arange(used), rng.normal(size=(used, 2)))
 
 
 def test_frames_of_a_right_model_pass_in_all_of_300_runs():

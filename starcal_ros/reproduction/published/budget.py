@@ -26,7 +26,7 @@ HEADING = ('Mean difference of the errors to the same runs without the source, i
            'differences up to 2 / sqrt(runs) are chance where the source changes the noise.')
 
 
-class Source(NamedTuple):
+class BudgetCase(NamedTuple):
     """What is switched on, by label; its place among the columns, and a note below them."""
 
     order: float
@@ -35,16 +35,16 @@ class Source(NamedTuple):
 
 
 TRUE_VALUES = (
-    Source(30, {'late 1 ms': {'truth.star_tracker.time_offset_s': 0.001}}),
-    Source(60, {'in orbit': {'truth.observer.velocity': 'orbit'}},
-           'in orbit: 500 km, believed at the geocentre.'),
+    BudgetCase(30, {'late 1 ms': {'truth.star_tracker.time_offset_s': 0.001}}),
+    BudgetCase(60, {'in orbit': {'truth.observer.velocity': 'orbit'}},
+               'in orbit: 500 km, believed at the geocentre.'),
 )
 """True values that differ from the nominal ones, among the error sources found by name."""
 
 
-def budget() -> list[Source]:
+def budget() -> list[BudgetCase]:
     """Return all that is switched on, one after the other."""
-    found = [Source(truth.order(source), errors.examples(source), getattr(source, 'NOTE', ''))
+    found = [BudgetCase(truth.order(source), errors.examples(source), getattr(source, 'NOTE', ''))
              for source in truth.sources()]
     return sorted([*TRUE_VALUES, *found], key=lambda source: source.order)
 

@@ -18,7 +18,7 @@ and one or more hooks, functions of the scenario that return what a sensor does 
     mounting  stamps (n,)                 rotation vector from the mean (n, 3), in s [rad]
     rate      stamps (n,), rates (n, 3)   rates that the gyros sense, in g [rad/s]
     readings  GyroSamples                 readings, bias and noise in them
-    images    StarImages                  where the stars fall, and what shapes their noise
+    images    ImagedStars                  where the stars fall, and what shapes their noise
     frames    Frames                      frames, noise in them
 
 (on the left what it takes, on the right what it returns), or None where the source is off. The

@@ -33,7 +33,7 @@ import numpy as np
 from starcal_ros.config.parameter import Spec
 from starcal_ros.config.scenario import Scenario, check_trails
 from starcal_ros.core.arrays import Array
-from starcal_ros.simulation.star_images import WEIGHTS, StarImages
+from starcal_ros.simulation.star_images import WEIGHTS, ImagedStars
 
 GROUP = 'star_tracker'
 ORDER = 40          # before others that move an image: it begins with the trail
@@ -58,12 +58,12 @@ def check(scenario: Scenario) -> None:
         check_trails('truth.star_tracker.smear', scenario)
 
 
-def images(scenario: Scenario) -> Callable[[StarImages], StarImages] | None:
+def images(scenario: Scenario) -> Callable[[ImagedStars], ImagedStars] | None:
     """Return the function that smears the images of stars, or None where it is off."""
     return _smeared if scenario.truth.of(Config).smear else None
 
 
-def _smeared(images: StarImages) -> StarImages:
+def _smeared(images: ImagedStars) -> ImagedStars:
     trail = images.trail()
     return replace(images, uv=centroid(trail), noise_factor=noise_factor(trail))
 
