@@ -12,6 +12,7 @@ from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.measurements.intake import Change, Intake
 from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.measurements.timeline import NEVER_NS
 
 
 class CameraCalibrator:
@@ -26,12 +27,18 @@ class CameraCalibrator:
         Rates of gyro and star tracker.
     begin : callable
         Returns the method at its beginning.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Of the newest frame that the method has; NEVER_NS where it has none.
     """
 
     def __init__(self, scenario: Scenario, begin: Callable[[], CameraMethod]) -> None:
         self._begin, self._method = begin, begin()
         self._notices = Notices()
         self._intake = Intake(scenario, self._notices)
+        self.stamp_ns = NEVER_NS
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples, in the order in which they arrived."""
@@ -58,3 +65,5 @@ class CameraCalibrator:
         gyro, frames = self._intake.take()
         self._method.add_gyro(gyro)
         self._method.add_frames(frames)
+        if len(frames):
+            self.stamp_ns = int(frames.stamp_ns[-1])

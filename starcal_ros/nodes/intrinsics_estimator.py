@@ -13,7 +13,6 @@ from typing import Any
 
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
-from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
@@ -36,7 +35,7 @@ class IntrinsicsEstimator(ManagedNode):
         """Prepare the calibration and its publishers."""
         self._method = calibration.start(self.scenario)
         self._detector = detector(self.scenario.camera)
-        self._stamp_ns, self._dirty, self._not_before = 0, False, 0.0
+        self._dirty, self._not_before = False, 0.0
         self._camera = self.offer(topics.INTRINSICS_CAMERA)
         self._state = self.offer(topics.INTRINSICS_STATE)
 
@@ -56,12 +55,8 @@ class IntrinsicsEstimator(ManagedNode):
 
     def _on_frames(self, batch: list[bytes]) -> None:
         for part in decoded(batch, cdr_pointcloud.decode_centroids, self.get_logger().error):
-            self._add(part)
-
-    def _add(self, frames: Frames) -> None:
-        self._method.add_frames(frames)
-        if len(frames):
-            self._stamp_ns, self._dirty = int(frames.stamp_ns[-1]), True
+            self._method.add_frames(part)
+            self._dirty = True
 
     def _answer_in_time(self) -> None:
         if perf_counter() >= self._not_before:
@@ -75,9 +70,10 @@ class IntrinsicsEstimator(ManagedNode):
         for text in self._method.take_notices():
             self.get_logger().warning(text)
         if estimate is not None:
+            stamp_ns = self._method.stamp_ns
             self._camera.publish(CONTENTS.camera_info(
-                self._stamp_ns, estimate.intrinsics, self._detector))
-            self._state.publish(CONTENTS.intrinsics(self._stamp_ns, estimate))
+                stamp_ns, estimate.intrinsics, self._detector))
+            self._state.publish(CONTENTS.intrinsics(stamp_ns, estimate))
         ended = perf_counter()
         self._not_before = ended + (ended - begun) * (1.0 / _SHARE - 1.0)
 

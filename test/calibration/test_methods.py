@@ -131,12 +131,21 @@ def test_one_frame_stamped_a_day_ahead_costs_that_frame(method):
     stamps[10] += 86_400 * 10**9
     begun, (estimate,) = calibrated(scenario, gyro, replace(frames, stamp_ns=stamps),
                                     [len(frames)])
+    assert begun.stamp_ns == frames.stamp_ns[-1]
     _, (without,) = calibrated(scenario, gyro, frames.take(np.arange(len(frames)) != 10),
                                [len(frames)])
     assert (estimate.frames, estimate.stars) == (without.frames, without.stars)
     np.testing.assert_array_equal(estimate.intrinsics, without.intrinsics)
     assert [text for text in begun.take_notices() if 'frame at' in text] == [
         f'frame at {stamps[10]} ns is ahead of those that follow: dropped']
+
+
+@METHODS
+def test_the_stamp_of_an_estimate_is_that_of_a_frame_that_is_believed(method):
+    scenario, _, gyro, frames = recording(method)
+    ahead = replace(frames[60:61], stamp_ns=frames.stamp_ns[60:61] + 86_400 * 10**9)
+    begun, _ = calibrated(scenario, gyro, Frames.concatenate((frames[:60], ahead)), [61])
+    assert begun.stamp_ns == frames.stamp_ns[59]
 
 
 @METHODS
