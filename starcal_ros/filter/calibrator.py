@@ -44,6 +44,7 @@ REPROJECTION_S = 600.0
 """Time over which the reprojection error is taken, T18 Sec. 3.1 [s]."""
 
 _BATCH = 2000               # frames prepared at once
+_BLIND = 1e-10              # information on a turn that a frame has none of, of its largest
 _NAMED = 20                 # losses of the attitude that are named, at most
 
 
@@ -334,6 +335,9 @@ class Calibrator:
         if used < 3 or update.turn is None or update.spread is None or update.normal is None:
             return
         N, v = update.turn
+        least, _, most = np.linalg.eigvalsh(N)
+        if not least > _BLIND * most:           # stars at one place tell no roll
+            return
         L = np.asarray(np.linalg.cholesky(N), np.float64)
         self.consistency.add(self.stamp_ns, FrameInnovation(
             np.asarray(np.linalg.solve(L, v)), L, float(update.nis), used, float(update.spread),

@@ -145,7 +145,8 @@ class InnovationTests:
 
     def add(self, stamp_ns: int, frame: FrameInnovation) -> None:
         """Take what a frame says, in the order of the stamps."""
-        if not (frame.spread < SPREAD and frame.used > 2):
+        numbers = np.array([frame.nis, *frame.e, *frame.rate])
+        if not (frame.spread < SPREAD and frame.used > 2 and np.isfinite(numbers).all()):
             self._last = None
             return
         for sums in (self._run, self._window):

@@ -14,7 +14,7 @@ from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.innovation_tests import (ALARM, WINDOW, FrameInnovation, InnovationTests,
                                                  _deviate, gated_nis)
-from starcal_ros.measurements.samples import GyroSamples
+from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import result, word
 from starcal_ros.simulation import sensors
 
@@ -149,8 +149,28 @@ def test_frames_that_are_not_certain_or_too_small_are_passed_over():
     for k in range(100):
         tests.add(k, frame._replace(spread=5.0))
         tests.add(k, frame._replace(used=2))
+        tests.add(k, frame._replace(nis=np.inf))
+        tests.add(k, frame._replace(rate=np.full(3, np.nan)))
     assert tests.statistics() == () and tests.variance_factors == (1.0, 1.0)
     assert 0.0 < ALARM < 1e-3 and gated_nis(1.0) == 1.0
+
+
+def test_a_frame_of_one_star_three_times_is_passed_over():
+    """It tells no roll: N of (C.1) has no root."""
+    scenario = TAN2018.replace({**RUN, 'simulation.duration_s': 20.0})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
+    star = np.repeat(frames.first[20], 3)
+    one = replace(frames[20:21], first=np.array([0, 3]), uv_raster=frames.uv_raster[star],
+                  sigma=frames.sigma[star], magnitude=frames.magnitude[star],
+                  catalog_id=frames.catalog_id[star])
+    calibrator = Calibrator(scenario)
+    calibrator.add_gyro(samples)
+    calibrator.add_frames(Frames.concatenate((frames[:20], one, frames[21:])))
+    results = list(calibrator.process())
+    assert len(results) == len(frames) and results[20].accepted.sum() == 3
+    assert calibrator.consistency.statistics()[0].samples == len(frames) - 2
+    assert failed(calibrator) == set()
 
 
 # Models, right and wrong
