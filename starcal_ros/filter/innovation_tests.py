@@ -42,10 +42,8 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from starcal_ros.core.arrays import Array, Ints
-from starcal_ros.core.utc import utc_text
+from starcal_ros.core.statistic import ALARM, Statistic
 
-ALARM = 1e-5
-"""Probability with which a statistic fails though the model is right."""
 WINDOW = 120
 """Frames of a window: a minute at 2 Hz."""
 MARGIN = 1.2
@@ -53,43 +51,10 @@ MARGIN = 1.2
 SPREAD = 3.0
 """Largest predicted spread of a centroid that is judged, in its sigmas."""
 
+HISTORY = 1000
+"""Windows of which the statistics are kept, at most."""
+
 _LEAST = 20             # frames, of all or of a star, before a statistic says anything
-
-
-class Statistic(NamedTuple):
-    """One test of the innovations.
-
-    Attributes
-    ----------
-    name : str
-        What is looked at.
-    value : float
-        What it is.
-    low, high : float
-        Band in which it is with the probability 1 - ALARM where the model is right.
-    samples : int
-        Frames or windows that it is made of.
-    since_ns : int or None
-        Stamp of the end of the window in which it failed first, and has failed since.
-    """
-
-    name: str
-    value: float
-    low: float
-    high: float
-    samples: int
-    since_ns: int | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value is in its band."""
-        return self.low <= self.value <= self.high
-
-    @property
-    def sentence(self) -> str:
-        """What it is, its band, and since when it is outside of that."""
-        since = '' if self.since_ns is None else f', since {utc_text(self.since_ns)}'
-        return f'{self.name} {self.value:.4g}, allowed {self.low:.4g} to {self.high:.4g}{since}'
 
 
 class FrameInnovation(NamedTuple):
@@ -132,6 +97,12 @@ class InnovationTests:
     ----------
     gated : float
         Mean of the squared residual of a star that passed the gate, over that of any star.
+
+    Attributes
+    ----------
+    history : list of (int, tuple of Statistic)
+        What the statistics were at the end of each window, and its stamp; of a run of more than
+        `HISTORY` windows every second, every fourth and so on.
     """
 
     def __init__(self, gated: float) -> None:
@@ -142,6 +113,8 @@ class InnovationTests:
         self._last: Array | None = None
         self._since: dict[str, int] = {}
         self._stars: dict[int, _Star] = {}
+        self.history: list[tuple[int, tuple[Statistic, ...]]] = []
+        self._thinned = 1
 
     def add(self, stamp_ns: int, frame: FrameInnovation) -> None:
         """Take what a frame says, in the order of the stamps."""
@@ -161,8 +134,16 @@ class InnovationTests:
                 if abs(deviation) > abs(self._worst[name]):
                     self._worst[name] = deviation
             self._window = _Sums()
-            failing = {each.name for each in self.statistics() if not each.passed}
-            self._since = {name: self._since.get(name, stamp_ns) for name in failing}
+            self._keep(stamp_ns, self.statistics())
+
+    def _keep(self, stamp_ns: int, statistics: tuple[Statistic, ...]) -> None:
+        failing = {each.name for each in statistics if not each.passed}
+        self._since = {name: self._since.get(name, stamp_ns) for name in failing}
+        if self._windows % self._thinned == 0:
+            self.history.append((stamp_ns, statistics))
+        if len(self.history) == HISTORY:
+            del self.history[::2]
+            self._thinned *= 2
 
     def statistics(self) -> tuple[Statistic, ...]:
         """Return all tests; none while there are too few frames."""

@@ -42,10 +42,10 @@ from scipy.sparse.csgraph import connected_components
 
 from starcal_ros.core import camera, kalman, rotation
 from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.statistic import Statistic
 from starcal_ros.core.units import DEG
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.innovation_tests import Statistic
 from starcal_ros.filter.states import CALIBRATED, N_STATES, PHI, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars

@@ -10,9 +10,10 @@ from scipy.stats import chi2, norm
 
 from instruments import TAN2018
 from starcal_ros.core import kalman, rotation
+from starcal_ros.core.statistic import ALARM
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.filter.innovation_tests import (ALARM, WINDOW, FrameInnovation, InnovationTests,
+from starcal_ros.filter.innovation_tests import (HISTORY, WINDOW, FrameInnovation, InnovationTests,
                                                  _deviate, gated_nis)
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import result, word
@@ -124,6 +125,17 @@ def test_a_failing_statistic_says_since_when():
     since = (turns.since_ns - 1_782_993_600 * 10**9) / 5e8
     assert 5 * WINDOW < since <= 6 * WINDOW
     assert ', since 2026-07-02T12:0' in turns.sentence
+
+
+def test_the_history_of_the_statistics_is_kept_and_bounded(monkeypatch):
+    monkeypatch.setattr('starcal_ros.filter.innovation_tests.WINDOW', 2)
+    tests, rng = InnovationTests(1.0), np.random.default_rng(8)
+    for k, frame in enumerate(noise(5 * HISTORY, rng, used=4)):
+        tests.add(k, frame)
+    stamps = [stamp_ns for stamp_ns, _ in tests.history]
+    assert HISTORY // 2 <= len(stamps) < HISTORY and stamps[-1] > 4.9 * HISTORY
+    assert len(set(np.diff(stamps))) == 1
+    assert tests.history[-1][1][0].name == 'NIS of the turns'
 
 
 def test_a_noise_that_is_off_by_a_tenth_passes_and_one_by_a_fifth_does_not():

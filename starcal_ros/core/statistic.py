@@ -1,0 +1,48 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A number that a right model keeps in a band, and how it is told to a user."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from starcal_ros.core.utc import utc_text
+
+ALARM = 1e-5
+"""Probability with which a statistic fails though the model is right."""
+
+
+class Statistic(NamedTuple):
+    """One test of a model.
+
+    Attributes
+    ----------
+    name : str
+        What is looked at.
+    value : float
+        What it is.
+    low, high : float
+        Band in which it is with the probability 1 - ALARM where the model is right.
+    samples : int
+        How many independent parts it is made of: frames, windows, stars.
+    since_ns : int or None
+        Stamp of the end of the window in which it failed first, and has failed since.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    samples: int
+    since_ns: int | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is in its band."""
+        return self.low <= self.value <= self.high
+
+    @property
+    def sentence(self) -> str:
+        """What it is, its band, and since when it is outside of that."""
+        since = '' if self.since_ns is None else f', since {utc_text(self.since_ns)}'
+        return f'{self.name} {self.value:.4g}, allowed {self.low:.4g} to {self.high:.4g}{since}'
