@@ -89,6 +89,9 @@ class EstimatorConfig:
     reacquire_after_frames: Annotated[int, Spec(
         'Frames in a row, most of their stars rejected, before the attitude is found afresh',
         '', 1, 1000, changeable=True)] = 5
+    answer_changes: Annotated[bool, Spec(
+        'Where a step or a drift of bias, mounting or camera is seen, open its covariance and go '
+        'on; false lets the calibration be inconsistent', changeable=True)] = True
     gap_acceleration_deg_s2: Annotated[float, Spec(
         'Angular acceleration that may hide in a silence of the gyro', 'deg/s^2', 0.0, 1e4,
         changeable=True)] = 1.0

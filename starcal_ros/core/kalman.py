@@ -139,35 +139,77 @@ def correct(root: Array, innovation: Innovation, use: Mask) -> tuple[Array, Arra
     return x, root_new, nis
 
 
-def explained(innovation: Innovation, directions: Array, use: Mask) -> tuple[Array, Array]:
-    """Return what some directions explain of an innovation.
+class Evidence(NamedTuple):
+    """What a set of measurements said, for whoever wants to know whether the model is right.
 
-    The combination of them that fits it best is ``N^-1 v``, of covariance ``N^-1``; it takes
-    ``v' N^-1 v`` out of the normalised innovation squared.
+    ``S^-1 = I - M (I + M' M)^-1 M'`` is never formed: of any directions D of the whitened
+    measurements, `half` gives W, and ``D' S^-1 D = D' D - W' W``.
+
+    Attributes
+    ----------
+    z : (..., m) array
+        Whitened innovation, two rows a pair; zero where a pair was not used.
+    H : (..., m, n_states) array
+        Whitened measurement matrix, likewise.
+    M : (..., m, n_states) array
+        H root, likewise.
+    L : (..., n_states, n_states) array
+        Cholesky factor of I + M'M.
+    root : (..., n_states, n_states) array
+        Root of the covariance after the measurements.
+    """
+
+    z: Array
+    H: Array
+    M: Array
+    L: Array
+    root: Array
+
+    def half(self, D: Array) -> Array:
+        """Return W = L^-1 M' D, (..., n_states, k), of D (..., m, k); root W is their gain."""
+        return np.asarray(np.linalg.solve(self.L, np.swapaxes(self.M, -1, -2) @ D), np.float64)
+
+    def explained(self, D: Array) -> tuple[Array, Array]:
+        """Return what some directions explain of the innovation.
+
+        The combination of them that fits it best is ``N^-1 v``, of covariance ``N^-1``; it takes
+        ``v' N^-1 v`` out of the normalised innovation squared.
+
+        Parameters
+        ----------
+        D : (..., m, k) array
+            Directions of the whitened measurements, zero where a pair was not used.
+
+        Returns
+        -------
+        N : (..., k, k) array
+            D' S^-1 D.
+        v : (..., k) array
+            D' S^-1 z.
+        """
+        both = np.concatenate((D, self.z[..., None]), axis=-1)
+        W = self.half(both)
+        gram = np.swapaxes(both, -1, -2) @ both - np.swapaxes(W, -1, -2) @ W
+        return gram[..., :-1, :-1], gram[..., :-1, -1]
+
+
+def evidence(innovation: Innovation, H: Array, use: Mask, root: Array) -> Evidence:
+    """Return what measurements said.
 
     Parameters
     ----------
     innovation : Innovation
         From `innovate`.
-    directions : (..., n, 2, k) array
-        Derivative of the whitened measurements.
+    H : (..., n, 2, n_states) array
+        Whitened measurement matrix.
     use : (..., n) bool array
-        Pairs to use.
-
-    Returns
-    -------
-    N : (..., k, k) array
-        directions' S^-1 directions.
-    v : (..., k) array
-        directions' S^-1 z.
+        Pairs that `correct` used.
+    root : (..., n_states, n_states) array
+        What it returned.
     """
-    M, both = innovation.M, np.concatenate(
-        (directions, innovation.whitened[..., None]), axis=-1)
-    rows = (*use.shape[:-1], -1)
-    M = np.where(use[..., None, None], M, 0.0).reshape(*rows, M.shape[-1])
-    both = np.where(use[..., None, None], both, 0.0).reshape(*rows, both.shape[-1])
-    Mt = np.swapaxes(M, -1, -2)
-    # S^-1 = I - M (I + M' M)^-1 M'
-    half = np.linalg.solve(np.linalg.cholesky(np.eye(M.shape[-1]) + Mt @ M), Mt @ both)
-    gram = np.swapaxes(both, -1, -2) @ both - np.swapaxes(half, -1, -2) @ half
-    return gram[..., :-1, :-1], gram[..., :-1, -1]
+    rows, keep = (*use.shape[:-1], -1), use[..., None]
+    z = np.where(keep, innovation.whitened, 0.0).reshape(rows)
+    H, M = (np.where(keep[..., None], part, 0.0).reshape(*rows, part.shape[-1])
+            for part in (H, innovation.M))
+    L = np.linalg.cholesky(np.eye(M.shape[-1]) + np.swapaxes(M, -1, -2) @ M)
+    return Evidence(z, H, M, np.asarray(L, np.float64), root)

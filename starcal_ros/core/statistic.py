@@ -27,6 +27,8 @@ class Statistic(NamedTuple):
         How many independent parts it is made of: frames, windows, stars.
     since_ns : int or None
         Stamp of the end of the window in which it failed first, and has failed since.
+    fits : str
+        What would make it pass, in words; empty where nothing is known.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Statistic(NamedTuple):
     high: float
     samples: int
     since_ns: int | None = None
+    fits: str = ''
 
     @property
     def passed(self) -> bool:
@@ -45,4 +48,6 @@ class Statistic(NamedTuple):
     def sentence(self) -> str:
         """What it is, its band, and since when it is outside of that."""
         since = '' if self.since_ns is None else f', since {utc_text(self.since_ns)}'
-        return f'{self.name} {self.value:.4g}, allowed {self.low:.4g} to {self.high:.4g}{since}'
+        fits = f' ({self.fits})' if self.fits else ''
+        return (f'{self.name} {self.value:.4g}, allowed {self.low:.4g} to {self.high:.4g}{fits}'
+                f'{since}')

@@ -27,10 +27,10 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.filter.acquisition import AcquisitionError, acquire
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
-from starcal_ros.filter.belief import Belief, Nominal
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.consistency import Consistency
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
-from starcal_ros.filter.innovation_tests import FrameInnovation, InnovationTests, gated_nis
-from starcal_ros.filter.states import EPSILON, SCALE
+from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.gyro_buffer import GyroBuffer
 from starcal_ros.measurements.intake import FRAMES_KEPT, GYRO_KEPT_NS, Change, Intake
@@ -44,7 +44,6 @@ REPROJECTION_S = 600.0
 """Time over which the reprojection error is taken, T18 Sec. 3.1 [s]."""
 
 _BATCH = 2000               # frames prepared at once
-_BLIND = 1e-10              # information on a turn that a frame has none of, of its largest
 _NAMED = 20                 # losses of the attitude that are named, at most
 
 
@@ -115,7 +114,6 @@ class Calibrator:
 
     def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
         self._scenario, self._covariance = scenario, covariance
-        self.filter = Filter(scenario, covariance)
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
         self._patience = scenario.estimator.reacquire_after_frames
@@ -125,21 +123,26 @@ class Calibrator:
         self._begin(restarts=0)
 
     def _begin(self, restarts: int) -> None:
+        self.filter = Filter(self._scenario, self._covariance)
+        self._density = np.zeros(CALIBRATED.stop - CALIBRATED.start)    # of drifts that were seen
         self.counts = Counts(restarts=restarts)
         self.belief: Belief | None = None
         self.stamp_ns = 0                               # of the last frame processed
         self._gyro = GyroBuffer()
         self._frames = Frames.empty()                   # that wait for the gyro
         self._newest_frame_ns = NEVER_NS
-        self.consistency = InnovationTests(gated_nis(self._scenario.estimator.gate_probability))
+        self.consistency = Consistency(
+            self.filter, self._scenario.estimator.gate_probability)
         self._rejected_in_a_row = 0
+        self._lost = False                              # the attitude, before this frame
         self._recent: deque[tuple[int, Array, int]] = deque()
         self._tracker = AttitudeTracker(self.filter, self._period_ns)
 
     def use(self, options: EstimatorConfig) -> None:
         """Go on with other gates and process noise, those that may change on the way."""
         self._scenario = replace(self._scenario, estimator=options)
-        self.filter = self._tracker.filter = Filter(self._scenario, self._covariance)
+        self.filter = self._tracker.filter = Filter(
+            self._scenario, self._covariance).walking(self._density)
         self._patience = options.reacquire_after_frames
 
     # Coming in
@@ -282,8 +285,9 @@ class Calibrator:
             frame = stars.take(rows)
             belief = self.belief
             if belief is not None:
-                belief = self.filter.propagate(
-                    belief, Preintegrated(*(part[k] for part in gyro)))
+                interval, before = Preintegrated(*(part[k] for part in gyro)), belief.nominal
+                belief, Phi = self.filter.propagated(belief, interval)
+                self.consistency.carry(interval, before, belief.nominal, Phi)
             track = self._track(stamp_ns) if tracked else AttitudeTrack.empty()
             self.stamp_ns = stamp_ns
             self.counts.frames += 1
@@ -293,8 +297,9 @@ class Calibrator:
                 continue
             belief, frame = start
             update = self.filter.update(belief, frame, judged=True)
-            self._judge(belief.nominal, update, frames.catalog_id[rows])
-            self.belief = update.belief
+            self.consistency.meet(stamp_ns, belief.nominal, frame, update,
+                                  frames.catalog_id[rows], frames.magnitude[rows])
+            self.belief = self._answered(update.belief)
             usable = np.isfinite(stars.sigma[rows])
             self._account(update, usable)
             yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows],
@@ -323,26 +328,24 @@ class Calibrator:
                 'acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
             return None if belief is None else (belief, frame)
         self.counts.acquisitions += 1
+        self._lost = belief is not None and self._rejected_in_a_row >= self._patience
         self._rejected_in_a_row = 0
+        self.consistency.found()
         if belief is not None and self.counts.acquisitions <= _NAMED:
             self._notices.say(f'attitude lost, found again at {self.stamp_ns} ns')
         found_belief, frame = found
         return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
 
-    def _judge(self, predicted: Nominal, update: Update, catalog_id: Ints) -> None:
-        """Compare what the frame said with what was promised of it."""
-        used = int(update.accepted.sum())
-        if used < 3 or update.turn is None or update.spread is None or update.normal is None:
-            return
-        N, v = update.turn
-        least, _, most = np.linalg.eigvalsh(N)
-        if not least > _BLIND * most:           # stars at one place tell no roll
-            return
-        L = np.asarray(np.linalg.cholesky(N), np.float64)
-        self.consistency.add(self.stamp_ns, FrameInnovation(
-            np.asarray(np.linalg.solve(L, v)), L, float(update.nis), used, float(update.spread),
-            predicted.C_sg @ (predicted.reading - predicted.bias),
-            catalog_id[update.accepted], update.normal[update.accepted]))
+    def _answered(self, belief: Belief) -> Belief:
+        """Return a belief that knows of what has changed, where that is seen after this frame."""
+        answer = self.consistency.answer(
+            self.stamp_ns, self._scenario.estimator.answer_changes)
+        if answer is None:
+            return belief
+        self._notices.say(f'{answer.change.sentence}; its covariance is opened')
+        self._density = np.hypot(self._density, answer.density)
+        self.filter = self._tracker.filter = self.filter.walking(answer.density)
+        return self.filter.opened(belief, answer.error, answer.columns)
 
     def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())
@@ -350,6 +353,8 @@ class Calibrator:
         self.counts.stars += used
         self.counts.rejected_stars += rejected
         self._rejected_in_a_row = self._rejected_in_a_row + 1 if rejected > used else 0
+        self.consistency.account(used, rejected, self._lost)
+        self._lost = False
         if self._rejected_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
             self._notices.say(f'most stars rejected in {self._patience} frames up to '
                               f'{self.stamp_ns} ns: the attitude is sought afresh')

@@ -47,6 +47,7 @@ size. Every function takes leading batch axes.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -87,13 +88,8 @@ class Update(NamedTuple):
         Normalised innovation squared of all the stars used together.
     residual : (..., n, 2) array
         Measured minus predicted centroid after the update, linearised [px].
-    turn : ((..., 3, 3), (..., 3)) arrays, optional
-        N and A' S^-1 z of Eq. (C.1) of `innovation_tests`, where asked for.
-    spread : (...) array, optional
-        Largest predicted spread of a centroid that was used, in its sigmas, likewise.
-    normal : (..., n, 2) array, optional
-        Predicted minus measured centroid, each coordinate divided by its standard deviation,
-        likewise.
+    evidence : Evidence, optional
+        What it said of the model, where asked for.
     """
 
     belief: Belief
@@ -101,9 +97,7 @@ class Update(NamedTuple):
     accepted: Mask
     nis: Array
     residual: Array
-    turn: tuple[Array, Array] | None = None
-    spread: Array | None = None
-    normal: Array | None = None
+    evidence: kalman.Evidence | None = None
 
 
 class Filter:
@@ -161,6 +155,30 @@ class Filter:
         root[..., THETA, THETA] = np.eye(3) * (SIGMA_ACQUIRED / SCALE[THETA])
         return Belief(replace(estimate, C_gi=C_gi), np.zeros_like(belief.error), root)
 
+    def walking(self, density: Array) -> Filter:
+        """Return the filter with further random walks, (13,) in units of SCALE per root second."""
+        changed = copy(self)
+        changed.density = np.hypot(self.density, density * SCALE[CALIBRATED])
+        return changed
+
+    def opened(self, belief: Belief, error: Array, columns: Array) -> Belief:
+        """Return a belief freed of an error, its covariance opened.
+
+        Parameters
+        ----------
+        belief : Belief
+        error : (..., n) array
+            Of the scaled states.
+        columns : (..., n, k) array
+            To be joined to the root of the covariance.
+        """
+        error = belief.error + error * belief.nominal.augmentation.scale
+        nominal = belief.nominal
+        if self.feedback:
+            nominal, error = nominal.without(error), np.zeros_like(error)
+        return Belief(nominal, error, kalman.predict(
+            belief.root, np.eye(belief.root.shape[-1]), columns))
+
     def propagate(self, belief: Belief, gyro: Preintegrated) -> Belief:
         """Carry a belief over the interval that the gyro accounts for (T18 Eq. 22).
 
@@ -171,6 +189,10 @@ class Filter:
         gyro : Preintegrated
             For the bias ``start.bias``, with the derivative by M where `augmentation` needs it.
         """
+        return self.propagated(belief, gyro)[0]
+
+    def propagated(self, belief: Belief, gyro: Preintegrated) -> tuple[Belief, Array]:
+        """Do as `propagate`, and return the transition of the scaled errors, (..., n, n), too."""
         nominal, batch, n = belief.nominal, belief.error.shape[:-1], belief.error.shape[-1]
         d, J_b = nominal.bias - self.start.bias, gyro.J[..., :3]
         turn = _times(J_b, d)
@@ -199,8 +221,9 @@ class Filter:
         if self.density.any():
             Q_root = np.concatenate((Q_root, process_noise.root(
                 self.density, B, gyro.duration, n) / nominal.augmentation.scale[:, None]), axis=-1)
-        root = kalman.predict(belief.root, Phi * nominal.augmentation.rescale, Q_root)
-        return Belief(replace(nominal, C_gi=C_gi, reading=gyro.reading), error, root)
+        Phi = Phi * nominal.augmentation.rescale
+        return Belief(replace(nominal, C_gi=C_gi, reading=gyro.reading), error,
+                      kalman.predict(belief.root, Phi, Q_root)), Phi
 
     def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
         """Return the predicted centroids and their derivatives by the states (T18 Eq. 24).
@@ -265,7 +288,7 @@ class Filter:
         gated : bool
             Reject stars whose chi-square lies outside the gate.
         judged : bool
-            Give what `innovation_tests` looks at.
+            Give the evidence.
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
         z, scale = uv - stars.uv, belief.nominal.augmentation.scale
@@ -279,16 +302,11 @@ class Filter:
         nominal = belief.nominal
         if self.feedback:
             nominal, error = nominal.without(error), np.zeros_like(error)
-        turn, spread, normal = None, None, None
+        said = None
         if judged:
-            turn = kalman.explained(
-                innovation, H[..., THETA] / stars.sigma[..., None, None], accepted)
-            variance = np.einsum('...i,...i->...', innovation.M, innovation.M)
-            spread = np.sqrt(np.max(np.where(accepted[..., None], variance, 0.0), axis=(-2, -1),
-                                    initial=0.0))
-            normal = innovation.whitened / np.sqrt(1.0 + variance)
-        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual,
-                      turn, spread, normal)
+            said = kalman.evidence(innovation, H * scale / stars.sigma[..., None, None], accepted,
+                                   root)
+        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual, said)
 
 
 def _times(A: Array, x: Array) -> Array:

@@ -29,13 +29,11 @@ All are two-sided. A statistic fails where chance gives its value, or one furthe
 against `ALARM` for all of them together. Nobody knows a noise to per cents, and a calibration is
 not biased by that, so the squares may be larger or smaller than stated by `MARGIN` beyond chance;
 no margin is given to what biases it: mean, correlation, displaced stars.
-
-Frames whose prediction is less certain than the stars themselves (the first ones, and those after
-a gap) are passed over: there the linear model is not good to what is asked here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -48,13 +46,23 @@ WINDOW = 120
 """Frames of a window: a minute at 2 Hz."""
 MARGIN = 1.2
 """Factor by which the variances of turns and rest may be off: sigmas that are off by a tenth."""
+SCATTER = 1.5
+"""The same factor where only the stars of one place or of one magnitude are looked at."""
+DISPLACED = 0.2
+"""Displacement of one star, in its sigmas, that is of no account."""
+REJECTED = 0.6
+"""Share of stars that the gate may reject: half may be wrong."""
+LOSSES, LOSSES_FRAMES = 3, 7200
+"""Losses of the attitude that may happen, and frames after which one more may: an hour at 2 Hz."""
 SPREAD = 3.0
 """Largest predicted spread of a centroid that is judged, in its sigmas."""
+CELLS = 4
+"""Cells of the detector along each of its sides."""
+MAGNITUDES = (3.0, 4.0, 5.0, 6.0, 7.0)
+"""Where the kinds of stars by magnitude end."""
 
-HISTORY = 1000
-"""Windows of which the statistics are kept, at most."""
-
-_LEAST = 20             # frames, of all or of a star, before a statistic says anything
+_LEAST = 20             # frames of a star
+_LEAST_OF_BIN = 500     # stars of a place or a magnitude
 
 
 class FrameInnovation(NamedTuple):
@@ -70,24 +78,27 @@ class FrameInnovation(NamedTuple):
         z' S^-1 z of the stars used.
     used : int
         Their number.
-    spread : float
-        Largest predicted spread of a centroid, in its sigmas.
     rate : (3,) array
         Rate of the camera, in s [rad/s].
     catalog_id : (n,) int64 array
         Catalogue numbers of the stars used.
     normal : (n, 2) array
         Their innovations, each coordinate divided by its standard deviation.
+    cell : (n,) int array
+        Where they are on the detector, row by row of CELLS.
+    magnitude : (n,) array
+        NaN where it is not known.
     """
 
     e: Array
     L: Array
     nis: float
     used: int
-    spread: float
     rate: Array
     catalog_id: Ints
     normal: Array
+    cell: Ints
+    magnitude: Array
 
 
 class InnovationTests:
@@ -97,12 +108,6 @@ class InnovationTests:
     ----------
     gated : float
         Mean of the squared residual of a star that passed the gate, over that of any star.
-
-    Attributes
-    ----------
-    history : list of (int, tuple of Statistic)
-        What the statistics were at the end of each window, and its stamp; of a run of more than
-        `HISTORY` windows every second, every fourth and so on.
     """
 
     def __init__(self, gated: float) -> None:
@@ -111,45 +116,50 @@ class InnovationTests:
         self._worst = {'turn': 0.0, 'rest': 0.0}        # of all windows, in sigmas
         self._windows = 0
         self._last: Array | None = None
-        self._since: dict[str, int] = {}
         self._stars: dict[int, _Star] = {}
-        self.history: list[tuple[int, tuple[Statistic, ...]]] = []
-        self._thinned = 1
+        self._bins = {'cell': _Bins(CELLS * CELLS), 'magnitude': _Bins(len(MAGNITUDES) + 1)}
+        self._used = self._rejected = self._losses = 0
 
-    def add(self, stamp_ns: int, frame: FrameInnovation) -> None:
-        """Take what a frame says, in the order of the stamps."""
-        numbers = np.array([frame.nis, *frame.e, *frame.rate])
-        if not (frame.spread < SPREAD and frame.used > 2 and np.isfinite(numbers).all()):
-            self._last = None
-            return
+    @property
+    def frames(self) -> int:
+        """Number of frames taken."""
+        return self._run.frames
+
+    def add(self, frame: FrameInnovation) -> bool:
+        """Take what a frame says; return whether it was the last of a window."""
         for sums in (self._run, self._window):
             sums.add(frame, self._last)
         self._last = frame.e
         for number, (u, v) in zip(frame.catalog_id.tolist(), frame.normal.tolist()):
             self._stars.setdefault(number, _Star()).add(u, v)
-        if self._window.frames == WINDOW:
-            self._windows += 1
-            for name, deviation in (('turn', self._window.turn_deviation()),
-                                    ('rest', self._window.rest_deviation(self._gated))):
-                if abs(deviation) > abs(self._worst[name]):
-                    self._worst[name] = deviation
-            self._window = _Sums()
-            self._keep(stamp_ns, self.statistics())
+        squares = np.sum(frame.normal**2, axis=-1)
+        self._bins['cell'].add(frame.cell, squares)
+        known = np.isfinite(frame.magnitude)
+        self._bins['magnitude'].add(
+            np.searchsorted(MAGNITUDES, frame.magnitude[known]), squares[known])
+        if self._window.frames < WINDOW:
+            return False
+        self._windows += 1
+        for name, deviation in (('turn', self._window.turn_deviation()),
+                                ('rest', self._window.rest_deviation(self._gated))):
+            if abs(deviation) > abs(self._worst[name]):
+                self._worst[name] = deviation
+        self._window = _Sums()
+        return True
 
-    def _keep(self, stamp_ns: int, statistics: tuple[Statistic, ...]) -> None:
-        failing = {each.name for each in statistics if not each.passed}
-        self._since = {name: self._since.get(name, stamp_ns) for name in failing}
-        if self._windows % self._thinned == 0:
-            self.history.append((stamp_ns, statistics))
-        if len(self.history) == HISTORY:
-            del self.history[::2]
-            self._thinned *= 2
+    def pass_over(self) -> None:
+        """Know of a frame that tells nothing: the next one has no neighbour."""
+        self._last = None
+
+    def account(self, used: int, rejected: int, lost: bool) -> None:
+        """Count the stars of a frame, and whether the attitude was lost before it."""
+        self._used += used
+        self._rejected += rejected
+        self._losses += lost
 
     def statistics(self) -> tuple[Statistic, ...]:
-        """Return all tests; none while there are too few frames."""
+        """Return all tests, of one frame at least."""
         run, n = self._run, self._run.frames
-        if n < _LEAST:
-            return ()
         far = float(norm.isf(ALARM / 2.0))
         low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], 3 * n) / (3 * n)
         found = [
@@ -171,15 +181,32 @@ class InnovationTests:
             far = float(norm.isf(ALARM / 4.0 / len(stars)))
             found.append(('displacement of the worst star', max(stars, key=abs), -far, far,
                           len(stars)))
-        return tuple(Statistic(name, float(value), float(low), float(high), samples,
-                               self._since.get(name))
-                     for name, value, low, high, samples in found)
+        found += [('share of rejected stars', self._rejected / max(self._used + self._rejected, 1),
+                   0.0, REJECTED, self._used + self._rejected),
+                  ('losses of the attitude', self._losses, 0.0, LOSSES + n / LOSSES_FRAMES, n)]
+        return (*(Statistic(name, float(value), float(low), float(high), samples)
+                  for name, value, low, high, samples in found), *self._scatter())
+
+    def _scatter(self) -> Iterator[Statistic]:
+        """Yield the bins whose squares are furthest from those of all."""
+        for name, bins in self._bins.items():
+            which = np.flatnonzero(bins.count >= _LEAST_OF_BIN)
+            if len(which):
+                ratio = bins.squares[which] / (2.0 * bins.count[which] * self._gated)
+                deviation = np.array([_beyond(2 * count * each, 2 * count, SCATTER)
+                                      for count, each in zip(bins.count[which].tolist(), ratio)])
+                worst = int(np.argmax(np.abs(deviation)))
+                far = float(norm.isf(ALARM / 2.0 / len(which)))
+                yield Statistic(
+                    f'scatter in the worst {name}', float(deviation[worst]), -far, far,
+                    int(bins.count[which[worst]]),
+                    fits=f'{ratio[worst]:.2f} times the stated variance '
+                    + (cell_name(which[worst]) if name == 'cell' else
+                       f'at magnitude {_magnitude_name(which[worst])}'))
 
     @property
     def variance_factors(self) -> tuple[float, float]:
-        """How much larger than stated the variances of turn and rest are; 1 while unknown."""
-        if self._run.frames < _LEAST:
-            return 1.0, 1.0
+        """How much larger than stated the variances of turn and rest are, of a frame at least."""
         return (self._run.turn / (3 * self._run.frames),
                 self._run.rest / (self._run.freedom * self._gated))
 
@@ -226,13 +253,41 @@ class _Star:
     @property
     def worst(self) -> float:
         """The larger of the two sums, as a normal deviate."""
-        return max(self.u, self.v, key=abs) / float(np.sqrt(self.frames))
+        worst, root = max(self.u, self.v, key=abs), float(np.sqrt(self.frames))
+        return float(np.sign(worst)) * max(abs(worst) / root - DISPLACED * root, 0.0)
 
 
-def _beyond(value: float, freedom: int) -> float:
+class _Bins:
+    """Sums of squares of the stars of some kinds."""
+
+    def __init__(self, n: int) -> None:
+        self.count, self.squares = np.zeros(n, np.int64), np.zeros(n)
+
+    def add(self, kind: Ints, squares: Array) -> None:
+        self.count += np.bincount(kind, minlength=len(self.count))
+        self.squares += np.bincount(kind, squares, len(self.squares))
+
+
+def cell_of(uv: Array, half: Array) -> Ints:
+    """Return the cell of centroids (..., 2) from the centre of a detector of half the size."""
+    place = np.clip(((uv / half + 1.0) * (0.5 * CELLS)).astype(np.int64), 0, CELLS - 1)
+    return np.asarray(CELLS * place[..., 1] + place[..., 0])
+
+
+def cell_name(cell: int) -> str:
+    """Say where a cell of the detector is."""
+    return f'in cell {cell // CELLS + 1}, {cell % CELLS + 1} of the detector'
+
+
+def _magnitude_name(kind: int) -> str:
+    low, high = ('', *(f'{m:g}' for m in MAGNITUDES)), (*(f'{m:g}' for m in MAGNITUDES), '')
+    return f'{low[kind]} to {high[kind]}'
+
+
+def _beyond(value: float, freedom: int, margin: float = MARGIN) -> float:
     """Return the deviate of a chi-square from its margin, 0 inside."""
-    return max(_deviate(value / MARGIN, freedom), 0.0) + min(
-        _deviate(value * MARGIN, freedom), 0.0)
+    return max(_deviate(value / margin, freedom), 0.0) + min(
+        _deviate(value * margin, freedom), 0.0)
 
 
 def _deviate(value: float, freedom: int) -> float:

@@ -52,7 +52,8 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
         px, mm, mm^-2, mm^-4, mm^-1, mm^-1. ``attitude_final`` is the integrated attitude at the
         last gyro sample. ``consistency`` has each test of the innovations with its band, and
         ``variance_factor`` how much larger than stated the variances are of what a turn of the
-        camera explains, and of the rest. ``augmented`` is there where states of `augmentation` are
+        camera explains, and of the rest; ``changes`` has the steps and drifts that were
+        answered. ``augmented`` is there where states of `augmentation` are
         on: their names, each with its unit, estimates and sigmas.
 
     Raises
@@ -66,7 +67,7 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
     estimate, sigma = belief.estimate, belief.sigma / UNIT
     stamp_ns, C_gi = calibrator.attitude_now()
     counts, said = calibrator.counts, word(calibrator)
-    turns, centroids = calibrator.consistency.variance_factors
+    turns, centroids = calibrator.consistency.variance_factors()
     values = {
         'intrinsics': _named(estimate.intrinsics),
         'intrinsics_sigma': _named(sigma[LENS]),
@@ -88,6 +89,9 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
         'consistency': [{**each._asdict(), 'passed': each.passed}
                         for each in calibrator.consistency.statistics()],
         'variance_factor': {'turns': turns, 'centroids': centroids},
+        'changes': [{**change._asdict(), 'sigma': [
+            sigma if np.isfinite(sigma) else None for sigma in change.sigma],
+            'sentence': change.sentence} for change in calibrator.consistency.changes],
         'counts': dataclasses.asdict(counts),
         'provenance': provenance,
     }

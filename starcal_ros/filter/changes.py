@@ -1,0 +1,231 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Steps of the bias, the mounting or the camera: when, which, how large, and what then.
+
+Search
+------
+Every `STRIDE` frames a candidate begins: a step of each of `CHANGING` at that time, whose response
+`responses` follows. Of the `SLOTS` newest and oldest so many are kept that their ages grow by a
+like factor, so that the cost is constant and a step is dated to a part of its age. A step has
+happened where the likelihood ratio of a candidate is beyond chance, all candidates so far counted,
+and no other effect, a drift least of all, explains the innovations as well: `TOLD` in twice the
+logarithm of the likelihoods. Likewise a drift.
+
+Answer
+------
+With the response E of the errors to the step, its size p and the root of the covariance of that::
+
+    errors <- errors - E p,      root <- [root, E root_p, ...]                         (J.1)
+
+as if the step had been a state from its beginning on (`responses`). It is answered only where
+nothing spoke against the model before it. Further columns are the
+differences to the neighbouring candidates, for the date, and to the other steps that explain the
+innovations as well, for the name. From a drift on its states walk at random, with a density that
+covers the drift over the time that it took to be seen.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.statistic import ALARM
+from starcal_ros.core.utc import utc_text
+from starcal_ros.filter.hypotheses import CHANGING, DRIFTS, HYPOTHESES, STEP_NUMBERS, STEPS
+from starcal_ros.filter.responses import Fit, Responses
+from starcal_ros.filter.states import CALIBRATED, SCALE
+
+STRIDE = 20
+"""Frames from one candidate to the next: ten seconds at 2 Hz."""
+SLOTS = 12
+"""Candidates that are kept."""
+TOLD = 12.0
+"""Difference in twice the logarithm of the likelihood by which one effect is told from another."""
+
+N_EFFECTS = len(CHANGING) * SLOTS
+
+_FIRST = len(HYPOTHESES)        # effect of the first candidate
+
+
+class Change(NamedTuple):
+    """A change that was found.
+
+    Attributes
+    ----------
+    kind : str
+        ``step`` or ``drift``.
+    what : tuple of str
+        Out of CHANGING; more than one where they can not be told apart, the likeliest first.
+    since_ns : int
+        When it happened or, of a drift, from when on its states walk.
+    within_s : float
+        How well that is known.
+    found_ns : int
+        When it was found.
+    numbers : tuple of str
+        What changed, with its unit.
+    size, sigma : tuple of float
+        By how much, and its standard deviation.
+    """
+
+    kind: str
+    what: tuple[str, ...]
+    since_ns: int
+    within_s: float
+    found_ns: int
+    numbers: tuple[str, ...]
+    size: tuple[float, ...]
+    sigma: tuple[float, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What happened."""
+        sizes = ', '.join(f'{name} {size:+.4g} +- {sigma:.2g}' for name, size, sigma in zip(
+            self.numbers, self.size, self.sigma) if np.isfinite(sigma))
+        when = (f'at {utc_text(self.since_ns)} (to {self.within_s:.0f} s)' if self.kind == 'step'
+                else f'seen at {utc_text(self.found_ns)}')
+        return f'{self.kind} of the {" or ".join(self.what)} {when}: {sizes}'
+
+
+class Answer(NamedTuple):
+    """What follows for the filter.
+
+    Attributes
+    ----------
+    change : Change
+    error : (n,) array
+        By which the scaled states are off.
+    columns : (n, k) array
+        To be joined to the root of their covariance.
+    density : (13,) array
+        Random walk of the calibrated states from now on, in units of SCALE per root second.
+    """
+
+    change: Change
+    error: Array
+    columns: Array
+    density: Array
+
+
+class Changes:
+    """The candidates of one run, or of all runs of a batch.
+
+    Attributes
+    ----------
+    begun : int
+        Number of candidates so far.
+    """
+
+    def __init__(self) -> None:
+        self._starts: list[int] = []            # stamp of each slot's beginning
+        self._clean: list[bool] = []            # whether nothing spoke against the model then
+        self._frames = self.begun = 0
+        self._since_ns = 0
+
+    def due(self, stamp_ns: int) -> bool:
+        """Count a frame, and say whether a candidate is to begin after it."""
+        if self._frames == 0:
+            self._since_ns = stamp_ns
+        self._frames += 1
+        return self._frames % STRIDE == 0
+
+    def begin(self, stamp_ns: int, clean: bool, responses: Responses) -> None:
+        """Let a candidate begin.
+
+        Parameters
+        ----------
+        stamp_ns : int
+        clean : bool
+            Whether nothing speaks against the model so far.
+        responses : Responses
+        """
+        slot = len(self._starts)
+        if slot == SLOTS:
+            slot = self._dispensable(stamp_ns)
+            self._starts[slot], self._clean[slot] = stamp_ns, clean
+        else:
+            self._starts.append(stamp_ns)
+            self._clean.append(clean)
+        self.begun += 1
+        n = responses.E.shape[-2]
+        for k, step in enumerate(STEPS):
+            E = np.zeros((n, step.shape[-1]))
+            E[:len(step)] = -step               # an error is the estimate less the truth
+            responses.begin(_FIRST + slot * len(CHANGING) + k, E)
+
+    def _dispensable(self, now_ns: int) -> int:
+        """Return the slot whose neighbours are nearest to each other, for their age."""
+        order = np.argsort(self._starts)
+        starts = np.array(self._starts, np.float64)[order]
+        between = (starts[2:] - starts[:-2]) / (now_ns - starts[1:-1])
+        return int(order[1 + int(np.argmin(between))])
+
+    def find(self, now_ns: int, fit: Fit, responses: Responses) -> Answer | None:
+        """Return what has changed and what follows; None for nothing that can be told."""
+        if not self._starts:
+            return None
+        gain, known = fit.gain[_FIRST:], len(self._starts) * len(CHANGING)
+        gain = np.where(np.arange(len(gain)) < known, gain, 0.0)
+        best = int(np.argmax(gain))
+        drift = DRIFTS.start + int(np.argmax(fit.gain[DRIFTS]))
+        steady = np.delete(fit.gain[:_FIRST], np.arange(DRIFTS.start, DRIFTS.stop)).max()
+        rival = max(steady, float(fit.gain[drift]))
+        if gain[best] > _limit(int(fit.freedom[_FIRST + best]), self.begun) and (
+                gain[best] > rival + TOLD) and self._clean[best // len(CHANGING)]:
+            return self._step(best, now_ns, gain, fit, responses)
+        rival = max(steady, float(gain[best]))
+        if fit.gain[drift] > _limit(int(fit.freedom[drift]), 1) and (
+                fit.gain[drift] > rival + TOLD):
+            return self._drift(drift, now_ns, fit, responses)
+        return None
+
+    def _step(self, best: int, now_ns: int, gain: Array, fit: Fit, responses: Responses) -> Answer:
+        slot, state = divmod(best, len(CHANGING))
+        moved = self._moved(best, fit, responses)
+        columns = [responses.of(_FIRST + best) @ fit.root[_FIRST + best]]
+        order = np.argsort(self._starts).tolist()
+        place = order.index(slot)
+        beside = [order[k] for k in (place - 1, place + 1) if 0 <= k < len(order)]
+        for other in beside:
+            other_date = self._moved(other * len(CHANGING) + state, fit, responses)
+            columns.append(0.5 * (moved - other_date)[:, None])
+        what = [CHANGING[state]]
+        for other in range(len(CHANGING)):
+            rival = slot * len(CHANGING) + other
+            if other != state and gain[rival] > gain[best] - TOLD:
+                what.append(CHANGING[other])
+                columns += [responses.of(_FIRST + rival) @ fit.root[_FIRST + rival],
+                            (moved - self._moved(rival, fit, responses))[:, None]]
+        since_ns = self._starts[slot]
+        within = [abs(since_ns - self._starts[other]) for other in beside]
+        size, sigma = fit.p[_FIRST + best], fit.sigma[_FIRST + best]
+        change = Change('step', tuple(what), since_ns, 1e-9 * max(within, default=0), now_ns,
+                        STEP_NUMBERS[state], tuple(size.tolist()), tuple(sigma.tolist()))
+        return Answer(change, moved, np.concatenate(columns, axis=-1), np.zeros(len(SCALE) - 3))
+
+    @staticmethod
+    def _moved(candidate: int, fit: Fit, responses: Responses) -> Array:
+        """Return by how much a step of the size that fits has moved the errors, (n,)."""
+        moved: Array = responses.of(_FIRST + candidate) @ fit.p[_FIRST + candidate]
+        return moved
+
+    def _drift(self, drift: int, now_ns: int, fit: Fit, responses: Responses) -> Answer:
+        state = drift - DRIFTS.start
+        moved = responses.of(drift) @ fit.p[drift]
+        elapsed_s = 1e-9 * max(now_ns - self._since_ns, 1)
+        # Over the time that it took, the walk covers what the drift did in it.
+        rate = np.abs(STEPS[state][CALIBRATED] @ fit.p[drift]) / 3600.0
+        change = Change('drift', (CHANGING[state],), self._since_ns, 0.0, now_ns,
+                        HYPOTHESES[drift].numbers, tuple(fit.p[drift].tolist()),
+                        tuple(fit.sigma[drift].tolist()))
+        return Answer(change, moved, np.concatenate(
+            (responses.of(drift) @ fit.root[drift], moved[:, None]), axis=-1),
+            rate * np.sqrt(elapsed_s))
+
+
+def _limit(freedom: int, tried: int) -> float:
+    """Return the gain that chance exceeds with the probability ALARM, of all that were tried."""
+    return float(chi2.isf(ALARM / (len(CHANGING) * max(tried, 1)), max(freedom, 1)))

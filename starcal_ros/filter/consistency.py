@@ -1,0 +1,256 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the frames are what the filter expects, and which effect explains it where not.
+
+A calibrator, or a batch of runs, tells of each interval and each frame; `statistics` has the tests
+of the innovations (`innovation_tests`), of effects that the model leaves out (`hypotheses`) and of
+steps (`changes`), at a constant cost a frame.
+
+A step is answered: the filter opens the covariance of what has changed, and the tests begin again.
+What calls for a second answer soon after is no step, but something else that is wrong.
+
+An effect counts against a calibration where it is beyond chance *and* does harm: the part of it
+that shifts no state by more than `HARM` of its sigma is taken off first. Over hours the data tell
+effects that are much smaller than what the calibration is good to.
+
+Frames whose prediction is less certain than the stars themselves (the first ones, and those after
+a gap) are passed over: there the linear model is not good to what is asked here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.core.statistic import ALARM, Statistic
+from starcal_ros.filter import hypotheses
+from starcal_ros.filter.belief import Nominal
+from starcal_ros.filter.changes import N_EFFECTS, Answer, Change, Changes
+from starcal_ros.filter.error_state import Filter, Update
+from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS, Sight
+from starcal_ros.filter.innovation_tests import (MARGIN, SCATTER, SPREAD, WINDOW, FrameInnovation,
+                                                 InnovationTests, cell_name, cell_of, gated_nis)
+from starcal_ros.filter.responses import WIDTH, Fit, Responses
+from starcal_ros.filter.states import SCALE, THETA
+from starcal_ros.measurements.preintegration import Preintegrated
+from starcal_ros.measurements.samples import Stars
+
+HISTORY = 1000
+"""Windows of which the statistics are kept, at most."""
+LEAST = 20
+"""Frames before a statistic says anything."""
+HARM = 0.5
+"""Shift of a state, in its sigmas, that is of no account."""
+
+SELDOM_NS = 3600 * 10**9
+"""Time after a change that was answered in which there is no second answer."""
+
+_BLIND = 1e-10              # information on a turn that a frame has none of, of its largest
+_STEP_LARGEST = 1e6
+
+
+class _Effect(NamedTuple):
+    """An effect that was fitted."""
+
+    name: str
+    numbers: tuple[str, ...]
+    place: int              # among all
+    tried: int              # effects of which this is the worst
+
+
+class Consistency:
+    """The tests of one run, or of all runs of a batch.
+
+    Parameters
+    ----------
+    filter_ : Filter
+        Whose innovations they are.
+    gate_probability : float
+        With which a good star passes its gate.
+    batch : tuple of int
+        Leading axes.
+
+    Attributes
+    ----------
+    history : list of (int, tuple of Statistic)
+        What the statistics of the first run were at the end of each window, and its stamp; of a
+        run of more than `HISTORY` windows every second, every fourth and so on.
+    changes : list of Change
+        Steps and drifts that were answered.
+    """
+
+    def __init__(self, filter_: Filter, gate_probability: float, batch: tuple[int, ...] = ()
+                 ) -> None:
+        self._half = 0.5 * np.array([filter_.detector.width, filter_.detector.height])
+        self._n, self._batch = len(filter_.scale), batch
+        self._gated = gated_nis(gate_probability)
+        self.history: list[tuple[int, tuple[Statistic, ...]]] = []
+        self.changes: list[Change] = []
+        self._thinned = 1
+        self._windows = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._tests = {run: InnovationTests(self._gated) for run in np.ndindex(*self._batch)}
+        self._responses = Responses(self._batch, self._n, np.concatenate((
+            hypotheses.largest(), np.full((N_EFFECTS, WIDTH), _STEP_LARGEST))))
+        self._changes = Changes()
+        self._sigma = np.ones((*self._batch, self._n))
+        self._since: dict[str, int] = {}
+
+    # Coming in
+
+    def carry(self, gyro: Preintegrated, before: Nominal, after: Nominal, Phi: Array) -> None:
+        """Know of an interval: its beginning, its end, and the transition of the errors."""
+        V = np.zeros(self._responses.E.shape)
+        known = WIDTH * len(HYPOTHESES)
+        V[..., :known] = hypotheses.shift(gyro, before, after, self._n)
+        self._responses.carry(Phi, V)
+
+    def found(self) -> None:
+        """Know that the attitude was found afresh."""
+        self._responses.forget(THETA)
+
+    def meet(self, stamp_ns: int, predicted: Nominal, stars: Stars, update: Update,
+             catalog_id: Ints, magnitude: Array) -> None:
+        """Know of a frame.
+
+        Parameters
+        ----------
+        stamp_ns : int
+        predicted : Nominal
+            Before it.
+        stars : Stars
+        update : Update
+            What it did, with its evidence.
+        catalog_id : (..., n) int64 array
+        magnitude : (..., n) array
+            NaN where it is not known.
+        """
+        said = update.evidence
+        assert said is not None
+        A = said.H[..., THETA] / SCALE[0]
+        N, v = said.explained(A)
+        used = update.accepted.sum(axis=-1)
+        variance = np.einsum('...i,...i->...', said.M, said.M)
+        values = np.linalg.eigvalsh(N)
+        # Stars at one place tell no roll.
+        judged = ((used > 2) & (np.sqrt(variance.max(axis=-1, initial=0.0)) < SPREAD)
+                  & (values[..., 0] > _BLIND * values[..., -1]) & np.isfinite(update.nis))
+        d = np.zeros((*said.z.shape, self._responses.E.shape[-1]))
+        d[..., :WIDTH * len(HYPOTHESES)] = hypotheses.direct(
+            said, predicted, Sight(stars.u_i, stars.uv, magnitude, self._half))
+        self._responses.meet(said, d, np.asarray(judged))
+        root = update.belief.root
+        self._sigma = np.sqrt(np.einsum('...ij,...ij->...i', root, root))
+        normal = (said.z / np.sqrt(1.0 + variance)).reshape(*update.accepted.shape, 2)
+        cell = cell_of(stars.uv, self._half)
+        rate = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])[..., 0]
+        ended = False
+        for run, tests in self._tests.items():
+            if not judged[run]:
+                tests.pass_over()
+                continue
+            L, use = np.linalg.cholesky(N[run]), update.accepted[run]
+            ended = tests.add(FrameInnovation(
+                np.asarray(np.linalg.solve(L, v[run])), np.asarray(L), float(update.nis[run]),
+                int(used[run]), rate[run], catalog_id[run][use], normal[run][use],
+                cell[run][use], magnitude[run][use])) or ended
+        if ended:
+            self._keep(stamp_ns)
+
+    def account(self, used: int, rejected: int, lost: bool) -> None:
+        """Count the stars of a frame, and whether the attitude was lost before it, of one run."""
+        self._tests[()].account(used, rejected, lost)
+
+    def _keep(self, stamp_ns: int) -> None:
+        self._windows += 1
+        statistics = self.statistics(next(iter(self._tests)))
+        failing = {each.name for each in statistics if not each.passed}
+        self._since = {name: self._since.get(name, stamp_ns) for name in failing}
+        if self._windows % self._thinned == 0:
+            self.history.append((stamp_ns, statistics))
+        if len(self.history) == HISTORY:
+            del self.history[::2]
+            self._thinned *= 2
+
+    # Going out
+
+    def answer(self, stamp_ns: int, wanted: bool = True) -> Answer | None:
+        """Return what has changed and what follows for the filter, of one run; mostly None.
+
+        To be called after each frame; with an answer all tests begin again. Where it is not
+        wanted, None: what has changed fails its test.
+        """
+        if not self._changes.due(stamp_ns):
+            return None
+        found = None
+        seldom = not self.changes or stamp_ns > self.changes[-1].found_ns + SELDOM_NS
+        noise_as_stated = all(
+            1.0 / SCATTER < factor < SCATTER for factor in self.variance_factors())
+        if wanted and seldom and noise_as_stated:
+            found = self._changes.find(stamp_ns, self._responses.fit(), self._responses)
+        if found is None:
+            self._changes.begin(stamp_ns, self._clean(), self._responses)
+            return None
+        self.changes.append(found.change)
+        self._begin()
+        return found
+
+    def _clean(self) -> bool:
+        """Tell whether there is a window at least, and nothing that speaks against the model."""
+        return self._tests[()].frames >= WINDOW and all(
+            each.passed for each in self.statistics())
+
+    def statistics(self, run: tuple[int, ...] = ()) -> tuple[Statistic, ...]:
+        """Return all tests of one run; none while there are too few frames."""
+        tests = self._tests[run]
+        if tests.frames < LEAST:
+            return ()
+        found = (*tests.statistics(), *self._effects(run, tests.frames))
+        return tuple(each._replace(since_ns=self._since.get(each.name)) for each in found)
+
+    def variance_factors(self, run: tuple[int, ...] = ()) -> tuple[float, float]:
+        """Return how much larger than stated the variances of turn and rest are."""
+        return self._tests[run].variance_factors if self._tests[run].frames >= LEAST else (
+            1.0, 1.0)
+
+    def _effects(self, run: tuple[int, ...], frames: int) -> Iterator[Statistic]:
+        fit = self._responses.fit(run)
+        shifted = np.einsum('ngk,gk->gn', self._responses.E[run].reshape(
+            self._n, -1, WIDTH), fit.p)
+        harm = np.max(np.abs(shifted) / np.maximum(self._sigma[run], 1e-300), axis=-1)
+        counted = fit.gain * np.maximum(1.0 - HARM / np.maximum(harm, 1e-300), 0.0)**2
+        for effect in self._fitted(counted):
+            k = effect.place
+            if fit.freedom[k] > 0:
+                yield Statistic(
+                    effect.name, float(counted[k]), 0.0,
+                    MARGIN * float(chi2.isf(ALARM / effect.tried, fit.freedom[k])), frames,
+                    fits=_sizes(effect.numbers, fit, k, float(harm[k])))
+
+    def _fitted(self, counted: Array) -> Iterator[_Effect]:
+        """Yield the effects to be told, of those of one kind the worst."""
+        for k, each in enumerate(HYPOTHESES[:CELL.start]):
+            yield _Effect(each.name, each.numbers, k, 1)
+        cell = CELL.start + int(np.argmax(counted[CELL]))
+        yield _Effect('displacement in the worst cell', tuple(
+            f'{name} {cell_name(cell - CELL.start)}' for name in HYPOTHESES[cell].numbers), cell,
+            CELL.stop - CELL.start)
+        for state, (name, numbers) in enumerate(zip(CHANGING, STEP_NUMBERS)):
+            places = len(HYPOTHESES) + state + len(CHANGING) * np.arange(
+                N_EFFECTS // len(CHANGING))
+            yield _Effect(f'step of the {name}', numbers,
+                          int(places[np.argmax(counted[places])]),
+                          len(CHANGING) * max(self._changes.begun, 1))
+
+
+def _sizes(numbers: tuple[str, ...], fit: Fit, k: int, harm: float) -> str:
+    told: Mask = np.isfinite(fit.sigma[k])
+    sizes = ', '.join(f'{name} {size:+.4g} +- {sigma:.2g}' for name, size, sigma, known in zip(
+        numbers, fit.p[k], fit.sigma[k], told) if known)
+    return f'{sizes}: shifts a state by {harm:.2g} sigma'

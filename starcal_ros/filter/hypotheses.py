@@ -1,0 +1,179 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects that the model leaves out and data show: what each would do, from the first frame on.
+
+Each is a row of `HYPOTHESES`: what it is called, its numbers and their units, and the size up to
+which it is thought of. `direct` says what they do to the centroids of a frame, `shift` to the
+errors of the states over an interval; `responses` does the rest. Signs are those of the truth: a
+time offset is positive where a frame shows the sky of later than its stamp, a scale factor where
+the gyro reads too much, a drift where the state grows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.kalman import Evidence
+from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
+from starcal_ros.filter.belief import Nominal
+from starcal_ros.filter.innovation_tests import CELLS, cell_of
+from starcal_ros.filter.responses import WIDTH
+from starcal_ros.filter.states import EPSILON, PSI, SCALE, STATE_NAMES, THETA
+from starcal_ros.measurements.preintegration import Preintegrated
+
+_U0, _V0, _F = (STATE_NAMES.index(name) for name in ('u0', 'v0', 'f'))
+_KM_S = 1.0 / 299792.458        # of the speed of light
+_MIDDLE_MAGNITUDE = 5.0
+_HOUR = 3600.0
+
+
+class Hypothesis(NamedTuple):
+    """An effect.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    numbers : tuple of str
+        Its numbers, with their units.
+    largest : float
+        The largest that is thought of.
+    """
+
+    name: str
+    numbers: tuple[str, ...]
+    largest: float
+
+
+TIME, SCALE_FACTORS, MISALIGNMENTS, VELOCITY, LENS, PHASE_U, PHASE_V, MAGNITUDE = range(8)
+DRIFTS = slice(8, 12)
+CELL = slice(12, 12 + CELLS * CELLS)
+CHANGING = ('gyro bias', 'mounting, by a turn of the star tracker',
+            'mounting, by a turn of the gyros', 'camera')
+"""What may step or drift. Of the two turns only the first is seen at once."""
+STEP_NUMBERS = (('x deg/h', 'y deg/h', 'z deg/h'), *(('x arcsec', 'y arcsec', 'z arcsec'),) * 2,
+                ('u0 px', 'v0 px', 'f um'))
+HYPOTHESES = (
+    Hypothesis('time offset of the frames', ('ms',), 1e3),
+    Hypothesis('gyro scale factors', ('xx ppm', 'yy ppm', 'zz ppm'), 1e5),
+    Hypothesis('gyro misalignments', ('xy ppm', 'xz ppm', 'yz ppm'), 1e5),
+    Hypothesis('velocity of the observer', ('x km/s', 'y km/s', 'z km/s'), 1e3),
+    Hypothesis('lens terms that the model lacks',
+               ('r^7 px', 'aspect px', 'skew px'), 1e3),
+    Hypothesis('pixel phase along u', ('sine px', 'cosine px'), 1.0),
+    Hypothesis('pixel phase along v', ('sine px', 'cosine px'), 1.0),
+    Hypothesis('displacement with the magnitude', ('u px/mag', 'v px/mag'), 10.0),
+    *(Hypothesis(f'drift of the {name}', tuple(f'{number} per h' for number in numbers), 1e5)
+      for name, numbers in zip(CHANGING, STEP_NUMBERS)),
+    *(Hypothesis(f'cell {row + 1}, {column + 1} of the detector', ('u px', 'v px'), 10.0)
+      for row in range(CELLS) for column in range(CELLS)))
+
+STEPS = np.zeros((4, len(SCALE), WIDTH))
+"""Change of the scaled states for a step of each of `CHANGING`, in units of `STEP_NUMBERS`."""
+STEPS[0, EPSILON] = np.eye(3) * DEG_PER_HOUR / SCALE[EPSILON]
+STEPS[1, THETA] = STEPS[1, PSI] = STEPS[2, PSI] = np.eye(3) * ARCSEC / SCALE[PSI]
+STEPS[3, [_U0, _V0, _F], range(3)] = np.array([1.0, 1.0, 1e-3]) / SCALE[[_U0, _V0, _F]]
+
+
+def largest() -> Array:
+    """Return the sizes up to which the effects are thought of, (n, 3)."""
+    sizes = np.zeros((len(HYPOTHESES), WIDTH))
+    for row, each in zip(sizes, HYPOTHESES):
+        row[:len(each.numbers)] = each.largest
+    return sizes
+
+
+def shift(gyro: Preintegrated, before: Nominal, after: Nominal, n_states: int) -> Array:
+    """Return what the effects do to the scaled errors over an interval, (..., n_states, 3 n).
+
+    Parameters
+    ----------
+    gyro : Preintegrated
+        Over the interval.
+    before, after : Nominal
+        At its beginning and its end.
+    n_states : int
+    """
+    dt = gyro.duration
+    V = np.zeros((*dt.shape, n_states, len(HYPOTHESES), WIDTH))
+    rate = (-rotation.log(after.C_gi @ np.swapaxes(before.C_gi, -1, -2))
+            / np.maximum(dt, 1e-9)[..., None])
+    # As an error of the bias turns theta, so does what M reads too much (A.2 of `gyro_matrix`).
+    B = -(after.C_sg @ gyro.Delta @ gyro.J[..., :3]) * (1e-6 / SCALE[0])
+    V[..., THETA, SCALE_FACTORS, :] = B * rate[..., None, :]
+    for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+        V[..., THETA, MISALIGNMENTS, column] = (B[..., i] * rate[..., j, None]
+                                                + B[..., j] * rate[..., i, None])
+    V[..., :len(SCALE), DRIFTS, :] = -np.swapaxes(STEPS, 0, 1) * (
+        dt[..., None, None, None] / _HOUR)
+    return V.reshape(*V.shape[:-2], -1)
+
+
+class Sight(NamedTuple):
+    """Where the stars of a frame are seen.
+
+    Attributes
+    ----------
+    u_i : (..., n, 3) array
+        Their apparent places.
+    uv : (..., n, 2) array
+        Centroids, from the centre of the detector [px].
+    magnitude : (..., n) array
+        NaN where it is not known.
+    half : (2,) array
+        Half of the detector [px].
+    """
+
+    u_i: Array
+    uv: Array
+    magnitude: Array
+    half: Array
+
+
+def direct(said: Evidence, predicted: Nominal, sight: Sight) -> Array:
+    """Return what the effects do to the whitened innovation of a frame, (..., 2 n, 3 n).
+
+    Parameters
+    ----------
+    said : Evidence
+        Of the frame.
+    predicted : Nominal
+        Before it.
+    sight : Sight
+    """
+    d = np.zeros((*said.z.shape, len(HYPOTHESES), WIDTH))
+    H_s = said.H[..., THETA] / SCALE[0]
+    C_si = predicted.C_si
+    rate_s = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])
+    d[..., TIME, 0] = 1e-3 * (H_s @ rate_s)[..., 0]
+    r_s = np.repeat(sight.u_i @ np.swapaxes(C_si, -1, -2), 2, axis=-2)
+    d[..., VELOCITY, :] = -_KM_S * np.cross(H_s, r_s) @ C_si
+    # A shift of the measured u is one of u0 with the other sign.
+    along_u, along_v = (-said.H[..., column] / SCALE[column] for column in (_U0, _V0))
+
+    def moved(effect: int, column: int, u: Array | None, v: Array | None) -> None:
+        for whitened, by in ((along_u, u), (along_v, v)):
+            if by is not None:
+                d[..., effect, column] += whitened * np.repeat(by, 2, axis=-1)
+
+    corner = float(np.hypot(*sight.half))
+    x, y = sight.uv[..., 0] / corner, sight.uv[..., 1] / corner
+    r6 = (x * x + y * y)**3
+    moved(LENS, 0, x * r6, y * r6)
+    moved(LENS, 1, x, -y)
+    moved(LENS, 2, y, x)
+    phase = 2.0 * np.pi * sight.uv
+    for column, wave in enumerate((np.sin(phase), np.cos(phase))):
+        moved(PHASE_U, column, wave[..., 0], None)
+        moved(PHASE_V, column, None, wave[..., 1])
+    fainter = np.nan_to_num(sight.magnitude - _MIDDLE_MAGNITUDE)
+    moved(MAGNITUDE, 0, fainter, None)
+    moved(MAGNITUDE, 1, None, fainter)
+    number = np.repeat(CELL.start + cell_of(sight.uv, sight.half), 2, axis=-1)
+    for column, whitened in enumerate((along_u, along_v)):
+        np.put_along_axis(d[..., column], number[..., None], whitened[..., None], axis=-1)
+    return d.reshape(*said.z.shape, -1)
