@@ -89,7 +89,7 @@ class BatchFrame(NamedTuple):
     stamp_ns : int
         Its stamp.
     gyro : Preintegrated or None
-        Since the frame before, for the bias ``Filter.start.bias``; None at the first frame.
+        Since the frame before; None at the first frame.
     stars : Stars
         The frame.
     predicted : Belief
@@ -131,7 +131,7 @@ def follow(scenario: Scenario, seeds: Sequence[int],
     """Simulate and estimate as `run_batch` does, and give what each frame does."""
     runs = [scenario.replace({'simulation.seed': int(seed)}) for seed in seeds]
     trackers = [sensors.star_tracker(run) for run in runs]
-    gyros = [_Gyro(sensors.gyro(run)) for run in runs]
+    gyros = [_Gyro(sensors.gyro(run), scenario.gyro.rate_hz) for run in runs]
     filter_ = Filter(scenario)
     belief: Belief | None = None
     cut_ns: list[int] = []
@@ -140,15 +140,19 @@ def follow(scenario: Scenario, seeds: Sequence[int],
         stamps = frames[0].stamp_ns
         stars, counts = _padded(frames, scenario, filter_)
         cuts = np.concatenate((cut_ns or stamps[:1], stamps))
-        gyro = Preintegrated(*(np.stack(parts, axis=1) for parts in zip(
-            *(g.preintegrate(cuts, filter_, scenario.gyro.rate_hz) for g in gyros))))
+        gyro = Preintegrated.stacked([g.preintegrate(cuts, filter_.start) for g in gyros], axis=1)
         cut_ns = [int(stamps[-1])]
         for k, stamp_ns in enumerate(stamps.tolist()):
             frame, turned = Stars(*(part[:, k, :counts[k]] for part in stars)), None
             if belief is None:
                 belief, frame = _acquired(filter_, frame)
             else:
-                turned = Preintegrated(*(part[k] for part in gyro))
+                turned = gyro.take(k)
+                strays = filter_.strays(belief.nominal, turned)
+                if strays.any():
+                    turned = Preintegrated.stacked([
+                        g.again(cuts[k:k + 2], belief.nominal.of_run(run)).take(0)
+                        if strays[run] else turned.take(run) for run, g in enumerate(gyros)])
                 belief = filter_.propagate(belief, turned)
             update = filter_.update(belief, frame)
             yield BatchFrame(done + k, stamp_ns, turned, frame, belief, update)
@@ -182,19 +186,23 @@ def state_error(estimate: Nominal, true: Nominal) -> Array:
 class _Gyro:
     """One run's readings, made as far as they are needed."""
 
-    def __init__(self, simulator: GyroSimulator) -> None:
-        self._simulator = simulator
-        self._kept = GyroSamples.empty()
+    def __init__(self, simulator: GyroSimulator, rate_hz: float) -> None:
+        self._simulator, self._rate_hz = simulator, rate_hz
+        self._samples = GyroSamples.empty()
 
-    def preintegrate(self, cuts_ns: Ints, filter_: Filter, rate_hz: float
-                     ) -> Preintegrated:
+    def preintegrate(self, cuts_ns: Ints, about: Nominal) -> Preintegrated:
         missing = cuts_ns[-1] - self._simulator.stamp_ns(self._simulator.next_index - 1)
-        count = max(int(np.ceil(missing * NS * rate_hz - 1e-6)), 0 if len(self._kept) else 1)
-        samples = GyroSamples.concatenate((self._kept, self._simulator.next(count)))
-        first = int(np.searchsorted(samples.stamp_ns, cuts_ns[-1], side='right')) - 1
-        self._kept = samples[max(first, 0):]
-        return preintegrate(samples, cuts_ns, filter_.start.bias, 1e9 / rate_hz,
-                            filter_.augmentation.needs_matrix)
+        count = max(int(np.ceil(missing * NS * self._rate_hz - 1e-6)),
+                    0 if len(self._samples) else 1)
+        first = int(np.searchsorted(self._samples.stamp_ns, cuts_ns[0], side='right')) - 1
+        self._samples = GyroSamples.concatenate(
+            (self._samples[max(first, 0):], self._simulator.next(count)))
+        return self.again(cuts_ns, about)
+
+    def again(self, cuts_ns: Ints, about: Nominal) -> Preintegrated:
+        return preintegrate(self._samples, cuts_ns, about.bias, 1e9 / self._rate_hz,
+                            about.augmentation.needs_matrix,
+                            about.augmentation.gain(about.augmented))
 
 
 def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter

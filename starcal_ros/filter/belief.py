@@ -53,6 +53,11 @@ class Nominal:
             for name in ('C_gi', 'bias', 'C_sg', 'intrinsics', 'augmented', 'reading'))
         return cls(C_gi, bias, C_sg, intrinsics, augmented, reading, runs[0].augmentation)
 
+    def of_run(self, run: int) -> Nominal:
+        """Return the values of one run of a batch."""
+        return replace(self, **{name: getattr(self, name)[run] for name in (
+            'C_gi', 'bias', 'C_sg', 'intrinsics', 'augmented', 'reading')})
+
     @property
     def C_si(self) -> Array:
         """Attitude of the star tracker, (..., 3, 3), i to s."""

@@ -277,15 +277,17 @@ class Calibrator:
         self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())
         begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
         cuts = np.concatenate(([begin], frames.stamp_ns))
-        gyro = preintegration.preintegrate(
-            self._gyro.since(begin), cuts, self.filter.start.bias, self._period_ns,
-            self.filter.augmentation.needs_matrix)
+        samples = self._gyro.since(begin)
+        gyro = self._integrated(samples, cuts, self.filter.start)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             rows = slice(frames.first[k], frames.first[k + 1])
             frame = stars.take(rows)
             belief = self.belief
             if belief is not None:
-                interval, before = Preintegrated(*(part[k] for part in gyro)), belief.nominal
+                interval, before = gyro.take(k), belief.nominal
+                # By what is believed now alone: not on how many frames came at once.
+                if self.filter.strays(before, interval):
+                    interval = self._integrated(samples, cuts[k:k + 2], before).take(0)
                 belief, Phi = self.filter.propagated(belief, interval)
                 self.consistency.carry(interval, before, belief.nominal, Phi)
             track = self._track(stamp_ns) if tracked else AttitudeTrack.empty()
@@ -307,6 +309,11 @@ class Calibrator:
                               np.where(usable, update.chi2, np.nan), update.accepted,
                               frames.catalog_id[rows], float(update.nis), track)
         self._gyro.forget_before(self.stamp_ns)
+
+    def _integrated(self, samples: GyroSamples, cuts: Ints, about: Nominal) -> Preintegrated:
+        return preintegration.preintegrate(
+            samples, cuts, about.bias, self._period_ns, about.augmentation.needs_matrix,
+            about.augmentation.gain(about.augmented))
 
     def _track(self, until_ns: int) -> AttitudeTrack:
         if self.belief is None:

@@ -34,6 +34,9 @@ Over an interval in which the gyro turns by Delta, with ``C_s1s0 = C_sg Delta C_
 T18's Eq. 17 has the opposite sign of phi' because its epsilon is the bias itself, which its
 attitude is integrated with; here the estimated bias is taken off first.
 
+Delta is composed for a reference, its first-order correction made for the present bias; where that
+is larger than `LARGEST_CORRECTION` the caller composes afresh for what is believed (`strays`).
+
 With feedback the nominal values are corrected after each frame and the expected error returns to
 zero, so the linear model stays valid from large initial errors; without it the filter is the
 paper's open-loop one: the nominal values stay and the expected error grows.
@@ -71,6 +74,10 @@ _FIELD = 1.5            # a star may be predicted this far out, in half diagonal
 SIGMA_ACQUIRED = 1.0 * DEG
 """Attitude sigma given to a first fix: wide against its error, so that the frame's own update,
 and not the fix, is what the estimate knows."""
+
+LARGEST_CORRECTION = 1e-4
+"""Turn by which the present bias and gain may correct an interval to first order [rad]: what its
+square leaves out is 5e-9 rad, 0.001 arcsec."""
 
 
 class Update(NamedTuple):
@@ -179,6 +186,16 @@ class Filter:
         return Belief(nominal, error, kalman.predict(
             belief.root, np.eye(belief.root.shape[-1]), columns))
 
+    def strays(self, nominal: Nominal, gyro: Preintegrated) -> Mask:
+        """Tell whether an interval has to be composed afresh for what is believed, (...)."""
+        if gyro.bias is None:
+            return np.zeros(gyro.duration.shape, np.bool_)
+        turn = np.linalg.norm(nominal.bias - gyro.bias, axis=-1) * gyro.duration
+        if nominal.augmentation.needs_matrix:
+            gain = nominal.augmentation.gain(nominal.augmented)
+            turn = turn + np.linalg.norm(gain - gyro.gain, axis=(-2, -1)) * gyro.path
+        return np.asarray(turn > LARGEST_CORRECTION)
+
     def propagate(self, belief: Belief, gyro: Preintegrated) -> Belief:
         """Carry a belief over the interval that the gyro accounts for (T18 Eq. 22).
 
@@ -187,18 +204,20 @@ class Filter:
         belief : Belief
             At the beginning of the interval.
         gyro : Preintegrated
-            For the bias ``start.bias``, with the derivative by M where `augmentation` needs it.
+            With the derivative by the gyro matrix where `augmentation` needs it.
         """
         return self.propagated(belief, gyro)[0]
 
     def propagated(self, belief: Belief, gyro: Preintegrated) -> tuple[Belief, Array]:
         """Do as `propagate`, and return the transition of the scaled errors, (..., n, n), too."""
         nominal, batch, n = belief.nominal, belief.error.shape[:-1], belief.error.shape[-1]
-        d, J_b = nominal.bias - self.start.bias, gyro.J[..., :3]
+        d = nominal.bias - (nominal.bias if gyro.bias is None else gyro.bias)
+        d, J_b = _times(gyro.gain, d), gyro.J[..., :3]
         turn = _times(J_b, d)
         slopes: list[tuple[slice, Array]] = []
         for state, place, among in nominal.augmentation.errors():
-            turned = state.turned(gyro.J, d, nominal.augmented[..., place], nominal.C_sg)
+            turned = state.turned(gyro.J, d, nominal.augmented[..., place], nominal.C_sg,
+                                  gyro.gain)
             if turned is not None:
                 turn, J_b = turn + turned.turn, turned.J_b
                 slopes.append((among, turned.J))

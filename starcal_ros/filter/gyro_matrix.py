@@ -28,15 +28,17 @@ order, and undone exactly. What a rotation about one axis does not show of M sti
 estimate, by M: for M of 1000 ppm that can not be noticed, for 5000 ppm and fixed angles off by
 600 arcsec the sigmas of a run are a fifth too small.
 
-Preintegration composes for a bias b0 and no M. With ``G = (I + M)^-1`` and ``d = b - b0`` ::
+Preintegration composes ``omega_0 = G_0 (omega_m - b_0)``. With ``G = (I + M)^-1`` and
+``d = G_0 (b - b_0)`` ::
 
-    omega = G (omega_m - b) = (omega_m - b0) - d - N (omega_m - b0 - d),     N = I - G
+    omega = G (omega_m - b) = omega_0 - d - N (omega_0 - d),     N = I - G G_0^-1
     Delta = Delta_0 exp([J_b d + J_N N x]),    J_N = J_M - J_b (I kron d')             (A.2)
-    d omega = -G db - C_gs X C_sg omega,       dN = C_gs X C_sg G                      (A.3)
+    d omega = -G db - C_gs X C_sg omega,       dN = C_gs X C_sg G G_0^-1               (A.3)
 
-This is exact in M and d but for the square of the correction over one interval: (M turn)^2, for M
-of 5000 ppm and the 0.25 deg of half a second at 0.5 deg/s 1e-4 arcsec. To first order in M it
-would be wrong by M^2 of the whole turn: 2.7 arcsec after 30 deg.
+This is exact in M and d but for the square of the correction over one interval, which
+`error_state` bounds: G_0 = I does for half a second between two frames, for minutes without stars
+the present G. To first order in M it would be wrong by M^2 of the whole turn: 2.7 arcsec after
+30 deg for M of 5000 ppm.
 """
 
 from __future__ import annotations
@@ -79,13 +81,14 @@ class GyroMatrix(OptionalState):
         """Return G = (I + M)^-1, (..., 3, 3)."""
         return _inverse(sensitivity(values))
 
-    def turned(self, J: Array, d: Array, values: Array, C_sg: Array) -> Turned:
+    def turned(self, J: Array, d: Array, values: Array, C_sg: Array, gain: Array) -> Turned:
         """Return what M changes in an interval, and the derivative by X (A.2, A.3)."""
         G = self.gain(values)
+        ratio = G @ _inverse(gain)
         J_b, J_M = J[..., :3], J[..., 3:].reshape(*J.shape[:-1], 3, 3)
         J_N = J_M - J_b[..., None] * d[..., None, None, :]
-        turn = np.einsum('...aij,...ij->...a', J_N, np.eye(3) - G)
-        right = np.swapaxes(C_sg @ G, -1, -2)
+        turn = np.einsum('...aij,...ij->...a', J_N, np.eye(3) - ratio)
+        right = np.swapaxes(C_sg @ ratio, -1, -2)
         J_X = C_sg[..., None, :, :] @ J_N @ right[..., None, :, :]
         return Turned(turn, J_b @ G, _flat(J_X))
 

@@ -88,19 +88,24 @@ class OptionalState:
         """Return G, (..., 3, 3): the rate of g is G (reading - bias)."""
         return np.eye(3)
 
-    def turned(self, J: Array, d: Array, values: Array, C_sg: Array) -> Turned | None:
+    def turned(self, J: Array, d: Array, values: Array, C_sg: Array, gain: Array
+               ) -> Turned | None:
         """Return what the state changes in an interval; None for nothing.
 
         Parameters
         ----------
         J : (..., 3, 3) or (..., 3, 12) array
-            `Preintegrated.J`: derivatives by the bias [s], and by M where it is asked for.
+            `Preintegrated.J`: derivatives by the bias [s], and by the gyro matrix where it is
+            asked for.
         d : (..., 3) array
-            Present bias less the one of the preintegration [rad/s].
+            `gain` times what the present bias is larger by than that of the preintegration
+            [rad/s].
         values : (..., k) array
             Present values.
         C_sg : (..., 3, 3) array
             Mounting.
+        gain : (..., 3, 3) array
+            `Preintegrated.gain`.
         """
         return None
 

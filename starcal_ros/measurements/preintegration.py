@@ -12,8 +12,9 @@ of constant rate between two frames ::
     Delta  (3, 3)  1   rotation of g over the interval
     J      (3, 3)  s   its derivative by the bias
 
-Of a gyro ``omega_m = (I + M) omega + b`` J has nine more columns, the derivative by M at M = 0,
-row by row: of one piece ``J_r dt (I kron omega')``, where that by the bias is ``J_r dt``.
+Of a gyro ``omega_m = (I + M) omega + b``, composed for ``omega = G (omega_m - b)``, the eps of J
+is taken off omega, and J has nine more columns: the derivative by N of ``omega - N omega``, row
+by row. Of one piece that is ``J_r dt (I kron omega')``, where that by eps is ``J_r dt``.
 
 Two neighbouring intervals compose as ``Delta_B Delta_A`` and ``J_A + Delta_A' J_B``, which is
 associative: the pieces are paired up in a tree, all frames at once.
@@ -26,6 +27,7 @@ alpha t^2 / 2, which is returned as a standard deviation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,9 +47,9 @@ class Preintegrated(NamedTuple):
     Attributes
     ----------
     Delta : (..., 3, 3) array
-        ``C_gi(t1) = Delta @ C_gi(t0)`` for the reference bias.
+        ``C_gi(t1) = Delta @ C_gi(t0)`` for the reference bias and gain.
     J : (..., 3, 3) or (..., 3, 12) array
-        Derivative by the bias, Eq. (P.1) [s], and by M where asked for.
+        Derivative by the bias, Eq. (P.1) [s], and by the gyro matrix where asked for.
     duration : (...) array
         Length of the interval [s].
     gap_turn : (...) array
@@ -55,6 +57,12 @@ class Preintegrated(NamedTuple):
     reading : (..., 3) array
         The gyro's reading at the end of the interval, bias included [rad/s]; only a time offset
         needs it.
+    bias : (..., 3) array, optional
+        Reference bias [rad/s]; None for the one that is believed.
+    gain : (..., 3, 3) array
+        Reference G.
+    path : (...) array
+        Length of the way that g turned [rad]; only the gyro matrix needs it.
     """
 
     Delta: Array
@@ -62,6 +70,19 @@ class Preintegrated(NamedTuple):
     duration: Array
     gap_turn: Array
     reading: Array = np.zeros(3)
+    bias: Array | None = None
+    gain: Array = np.eye(3)
+    path: Array = np.zeros(())
+
+    def take(self, k: int) -> Preintegrated:
+        """Return one of many intervals."""
+        return Preintegrated._make(
+            part if part is None else part[k] for part in self)
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Preintegrated], axis: int = 0) -> Preintegrated:
+        """Return intervals of the same kind as those of a batch."""
+        return cls(*(np.stack(part, axis=axis) for part in zip(*parts)))
 
 
 class Pieces(NamedTuple):
@@ -120,7 +141,7 @@ def cut(gyro: GyroSamples, cuts_ns: Ints, period_ns: float) -> Pieces:
 
 
 def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float,
-                 with_matrix: bool = False) -> Preintegrated:
+                 with_matrix: bool = False, gain: Array = np.eye(3)) -> Preintegrated:
     """Compose the readings between neighbouring stamps.
 
     Parameters
@@ -134,7 +155,9 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
     period_ns : float
         Nominal sampling interval [ns].
     with_matrix : bool
-        Give the derivative by M too.
+        Give the derivative by the gyro matrix too.
+    gain : (3, 3) array
+        Reference G: the rate of g is ``gain @ (reading - bias)``.
 
     Returns
     -------
@@ -145,7 +168,7 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
     n = len(cuts_ns) - 1
     interval = np.searchsorted(cuts_ns, pieces.end_ns) - 1
     first = np.searchsorted(interval, np.arange(n + 1))
-    theta = (pieces.rate - bias) * pieces.dt[:, None]
+    theta = (pieces.rate - bias) @ gain.T * pieces.dt[:, None]
     Delta, J = np.empty((n, 3, 3)), np.empty((n, 3, 12 if with_matrix else 3))
     for low in range(0, n, _BATCH):
         high = min(low + _BATCH, n)
@@ -155,7 +178,10 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
             np.arange(first[low], first[high]) - first[interval[rows]], high - low, with_matrix)
     return Preintegrated(Delta, J, np.diff(cuts_ns) * NS,
                          np.bincount(interval, pieces.gap_turn, n).astype(np.float64),
-                         gyro.rate[np.searchsorted(gyro.stamp_ns, cuts_ns[1:])])
+                         gyro.rate[np.searchsorted(gyro.stamp_ns, cuts_ns[1:])],
+                         np.broadcast_to(bias, (n, 3)), np.broadcast_to(gain, (n, 3, 3)),
+                         np.bincount(interval, np.linalg.norm(theta, axis=-1), n).astype(
+                             np.float64))
 
 
 def _compose(theta: Array, dt: Array, interval: Ints, rank: Ints,

@@ -242,6 +242,47 @@ def test_filter_integrates_with_the_matrix_as_the_gyro_model_says():
     assert np.abs(first_order - expected).max() > 10.0 * np.abs(after.C_gi - expected).max()
 
 
+def composed_for(nominal, gyro=turning()):
+    """Return an interval composed for what is believed."""
+    G = np.linalg.inv(np.eye(3) + nominal.augmented[:9].reshape(3, 3))
+    return preintegrate(gyro, np.array([0, gyro.stamp_ns[-1]]), nominal.bias, PERIOD_NS, True,
+                        G).take(0)
+
+
+def test_minutes_without_stars_are_composed_for_the_present_bias_and_matrix():
+    """5 minutes to and fro, M of 5000 ppm, 50 deg/h: to first order off by 10 arcsec."""
+    t = np.arange(1, 6001)[:, None] / 20.0
+    gyro = GyroSamples(np.arange(1, 6001) * 5 * 10**7,
+                       0.02 * np.cos(t * [0.1, 0.2, 0.3] + [0.0, 1.0, 2.0]))
+    truth = replace(some_values(), bias=np.array([2.0, -2.0, 1.0]) * 1e-4)
+    cuts = np.array([0, gyro.stamp_ns[-1]])
+    G = np.linalg.inv(np.eye(3) + truth.augmented[:9].reshape(3, 3))
+    expected = preintegrate(GyroSamples(gyro.stamp_ns, (gyro.rate - truth.bias) @ G.T), cuts,
+                            np.zeros(3), 5e7).Delta[0] @ truth.C_gi
+    belief = Belief(truth, np.zeros(26), some_root())
+    about_start = preintegrate(gyro, cuts, np.zeros(3), 5e7, True).take(0)
+    assert FILTER.strays(truth, about_start)
+    wrong = FILTER.propagate(belief, about_start).nominal.C_gi
+    assert np.abs(wrong - expected).max() > 10.0 * ARCSEC
+    assert FILTER.strays(truth, preintegrate(gyro, cuts, truth.bias, 5e7, True).take(0))
+    whole = preintegrate(gyro, cuts, truth.bias, 5e7, True, G).take(0)
+    assert not FILTER.strays(truth, whole) and not FILTER.strays(some_values(ppm=5.0), TURN)
+    np.testing.assert_allclose(FILTER.propagate(belief, whole).nominal.C_gi, expected, rtol=0,
+                               atol=1e-12)
+
+
+@pytest.mark.parametrize('state', range(26), ids=NAMES)
+def test_transition_agrees_where_the_reference_is_what_is_believed(state):
+    nominal, h = some_values(), STEP[state]
+    axis, turn = np.eye(26)[state], composed_for(some_values())
+    column = QUIET.propagate(Belief(nominal, axis, np.eye(26)), turn).error
+    after = QUIET.propagate(Belief(nominal, axis, np.eye(26)), turn).nominal
+    more, less = (QUIET.propagate(Belief(values, axis, np.eye(26)), turn).nominal.minus(after)
+                  for values in (nominal.without(-h * axis), nominal.without(h * axis)))
+    np.testing.assert_allclose(column, (more - less) / (2 * h), rtol=2e-6,
+                               atol=4e-15 / (2 * h) + h**2)
+
+
 @pytest.mark.parametrize('state', range(26), ids=NAMES)
 def test_transition_agrees_with_central_differences(state):
     """At M = 0 the reference is the present; there the derivatives are exact."""

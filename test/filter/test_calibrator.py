@@ -146,6 +146,40 @@ def test_results_do_not_depend_on_how_messages_are_cut_and_interleaved(run, at_o
     assert asdict(calibrator.counts) == asdict(at_once[0].counts)
 
 
+@pytest.fixture(scope='module')
+def long_silence():
+    """A bias of 50 deg/h, two minutes with stars, 20 without, ten seconds with."""
+    run = Simulated(TAN2018.replace({
+        'simulation.duration_s': 1330.0, 'gyro.rate_hz': 20.0,
+        'truth.gyro.bias_deg_h': (50.0, -50.0, 50.0),
+        'estimator.initial_sigma.gyro_bias_deg_h': 100.0}))
+    seen = (run.frames.stamp_ns - START_NS) * 1e-9
+    run.frames = run.frames.take((seen <= 120.0) | (seen > 1320.0))
+    return run
+
+
+def test_bias_far_from_the_nominal_one_turns_nothing_while_no_star_is_seen(long_silence):
+    """To first order about the nominal bias the attitude would be off by 3000 arcsec."""
+    run = long_silence
+    calibrator, results = calibrated(run.gyro, run.frames, run.scenario)
+    assert calibrator.counts.acquisitions == 1
+    back = next(result for result in results if result.stamp_ns > START_NS + 1320 * SECOND_NS)
+    assert back.accepted.all() and back.nis < 2.0 * back.accepted.sum() + 5.0 * np.sqrt(
+        4.0 * back.accepted.sum())
+    assert_right(run, results[-1])
+
+
+@pytest.mark.parametrize('size', [7, 2000])
+def test_intervals_composed_afresh_do_not_depend_on_how_messages_are_cut(long_silence, size):
+    run = long_silence
+    calibrator, results = Calibrator(run.scenario), []
+    calibrator.add_frames(run.frames)
+    for low in range(0, len(run.gyro), size):
+        calibrator.add_gyro(run.gyro[low:low + size])
+        results += calibrator.process()
+    assert_same(results, calibrated(run.gyro, run.frames, run.scenario)[1])
+
+
 @pytest.mark.parametrize('frames_first', [True, False])
 def test_results_of_one_message_at_a_time_are_those_of_all_at_once(run, at_once, frames_first):
     calibrator, results, k = Calibrator(SCENARIO), [], 0
