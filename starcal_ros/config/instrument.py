@@ -58,6 +58,9 @@ class StarTrackerConfig:
     centroid_sigma_px: Annotated[float, Spec(
         'Standard deviation of a centroid, each axis; in a recording that states its own sigma '
         'for a star, that one counts', 'px', 0.0, 100.0)] = 0.05
+    least_sigma_px: Annotated[float, Spec(
+        'Least standard deviation of a centroid that a recording is believed, where '
+        'centroid_sigma_px is not less', 'px', 0.0, 100.0)] = 0.005
     limiting_magnitude: Annotated[float, Spec(
         'Faintest star that is measured, Hp', 'mag', -2.0, 14.0)] = 6.0
 

@@ -18,9 +18,9 @@ import numpy as np
 from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
-from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
-from starcal_ros.filter.acquisition import acquire
+from starcal_ros.filter.acquisition import WIDE, acquire, agreed
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter, Update
@@ -144,6 +144,7 @@ def follow(scenario: Scenario, seeds: Sequence[int],
         cut_ns = [int(stamps[-1])]
         for k, stamp_ns in enumerate(stamps.tolist()):
             frame, turned = Stars(*(part[:, k, :counts[k]] for part in stars)), None
+            acquired = belief is None
             if belief is None:
                 belief, frame = _acquired(filter_, frame)
             else:
@@ -155,6 +156,9 @@ def follow(scenario: Scenario, seeds: Sequence[int],
                         if strays[run] else turned.take(run) for run, g in enumerate(gyros)])
                 belief = filter_.propagate(belief, turned)
             update = filter_.update(belief, frame)
+            if not acquired and (update.spread > WIDE).any():
+                belief, frame = _agreed(filter_, belief, frame, update.spread > WIDE)
+                update = filter_.update(belief, frame)
             yield BatchFrame(done + k, stamp_ns, turned, frame, belief, update)
             belief = update.belief
         on_progress(min(1.0, (done + _CHUNK) / trackers[0].count))
@@ -236,9 +240,17 @@ def _acquired(filter_: Filter, frame: Stars) -> tuple[Belief, Stars]:
     """Find the attitude of each run and stack the beliefs."""
     found = [acquire(filter_, None, frame.take(run))
              for run in range(len(frame.sigma))]
-    nominal = Nominal.stacked([belief.nominal for belief, _ in found])
-    return (Belief(nominal, np.stack([belief.error for belief, _ in found]),
-                   np.stack([belief.root for belief, _ in found])),
+    return _together(found, frame)
+
+
+def _agreed(filter_: Filter, belief: Belief, frame: Stars, wide: Mask) -> tuple[Belief, Stars]:
+    """Judge the stars of some runs together."""
+    runs = [(belief.of_run(run), frame.take(run)) for run in range(len(frame.sigma))]
+    return _together([agreed(filter_, *run) if w else run for run, w in zip(runs, wide)], frame)
+
+
+def _together(found: Sequence[tuple[Belief, Stars]], frame: Stars) -> tuple[Belief, Stars]:
+    return (Belief.stacked([belief for belief, _ in found]),
             frame._replace(sigma=np.stack([stars.sigma for _, stars in found])))
 
 

@@ -1,6 +1,10 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Attitude from the stars of one frame alone, wrong stars left out.
+"""Attitude from the stars of one frame, wrong stars left out; and which of them agree.
+
+A star's own gate holds as long as its prediction is about as certain as its centroid. Where no
+attitude is known, or all stars may be off together (after a silence of the gyro, while the camera
+is little known), the gate lets anything through. There the stars judge each other:
 
 1. Each pair of stars gives an attitude, and each attitude finds more or fewer of the other stars
    where they were measured, within what the camera may be wrong by. The attitude that finds the
@@ -9,19 +13,27 @@
 3. A fit that lets go of what misses by more than most sorts out wrong stars that are not far
    off.
 4. The frame is fitted from there by Gauss-Newton (an iterated Kalman update), because first
-   errors of many pixels are too large for one linear step; the worst star is left out until
-   every residual lies inside the gate.
+   errors of many pixels are too large for one linear step; stars leave, the worst first, until
+   each lies inside the gate about where all others put it.
 
-An attitude is believed if at least half of the stars, and three, are left in the end.
+With r the residual of a star after the fit and M its derivatives by the states, both divided by
+sigma and M for the covariance after the fit, what the others leave of it is ::
+
+    chi2 = r' (I - M M')^-1 r                                                           (A.5)
+
+An attitude is believed, and a frame used, if at least half of the stars, and three, are left in
+the end.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from starcal_ros.core import camera, robust
-from starcal_ros.core.arrays import Mask
+from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.consensus import consensus
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import Filter
@@ -30,11 +42,15 @@ from starcal_ros.measurements.samples import Stars
 
 MIN_STARS = 3
 """Stars that must agree before an attitude is believed."""
+WIDE = 3.0
+"""Predicted spread of a centroid, in its sigmas, from which on the stars judge each other."""
 
 _ITERATIONS = 10
 _ROBUST_ITERATIONS = 30
+_PASSES = 20            # in which stars leave the fit
 _WIDTH = 2.0            # of the robust weight: twice what most miss by halves it twice
 _CONVERGED = 0.01       # step, in units of the filter's scale, below which Gauss-Newton stops
+_LEAST = 1e-9           # part of a star that its own fit leaves, at least
 
 
 class AcquisitionError(ValueError):
@@ -66,6 +82,51 @@ def acquire(filter_: Filter, belief: Belief | None, stars: Stars) -> tuple[Belie
         Where fewer than MIN_STARS, or than half of the stars, agree.
     """
     known = filter_.begin(np.eye(3)) if belief is None else belief
+    C_gi, trusted = _look(filter_, known, stars)
+    start = filter_.begin(C_gi) if belief is None else filter_.reacquired(belief, C_gi)
+    found, frame = _fit(filter_, start, start, stars, trusted)
+    return found if filter_.feedback else start, frame
+
+
+def agreed(filter_: Filter, belief: Belief, stars: Stars) -> tuple[Belief, Stars]:
+    """Judge the stars of a frame together.
+
+    Parameters
+    ----------
+    filter_ : Filter
+        Scenario.
+    belief : Belief
+        At the frame's stamp.
+    stars : Stars
+        The frame.
+
+    Returns
+    -------
+    belief : Belief
+        Linearised where the frame fits best; the frame is not used up.
+    stars : Stars
+        The same frame, the sigma of stars that do not fit infinite: of all where too few agree.
+    """
+    try:
+        C_gi, trusted = _look(filter_, belief, stars)
+        estimate = belief.estimate
+        prior = Belief(estimate, np.zeros_like(belief.error), belief.root)
+        turned = replace(estimate, C_gi=C_gi)
+        at = Belief(turned, turned.minus(estimate), belief.root)
+        found, frame = _fit(filter_, prior, at, stars, trusted)
+    except AcquisitionError:
+        return belief, stars._replace(sigma=np.full_like(stars.sigma, np.inf))
+    return found if filter_.feedback else belief, frame
+
+
+def _look(filter_: Filter, known: Belief, stars: Stars) -> tuple[Array, Mask]:
+    """Return the attitude C_gi, (3, 3), that most stars agree with, and which stars, (n,).
+
+    Raises
+    ------
+    AcquisitionError
+        Where fewer than MIN_STARS, or than half of the stars, agree.
+    """
     estimate, pitch_mm = known.estimate, filter_.detector.pitch_mm
     usable = np.flatnonzero(np.isfinite(stars.sigma))
     r_s = camera.unproject(stars.uv[usable], estimate.intrinsics, pitch_mm)
@@ -75,16 +136,51 @@ def acquire(filter_: Filter, belief: Belief | None, stars: Stars) -> tuple[Belie
     wrong_px = 6.0 * spread + 10.0 * stars.sigma[usable].max(initial=0.0)
     agreeing = consensus(stars.u_i[usable], r_s, wrong_px * pitch_mm / estimate.intrinsics[2])
     _require(int(agreeing.sum()), len(usable))
-    fix, _ = Rotation.align_vectors(r_s[agreeing], stars.u_i[usable][agreeing])
-    C_gi = estimate.C_sg.T @ fix.as_matrix()
-    start = filter_.begin(C_gi) if belief is None else filter_.reacquired(belief, C_gi)
+    found, _ = Rotation.align_vectors(r_s[agreeing], stars.u_i[usable][agreeing])
     trusted: Mask = np.zeros(len(stars.sigma), dtype=bool)
     trusted[usable[agreeing]] = True
-    trusted = _resist(filter_, start, stars, trusted)
-    _require(int(trusted.sum()), len(usable))
-    belief, frame = _fit(filter_, start, stars, trusted)
-    _require(int(np.isfinite(frame.sigma).sum()), len(usable))
-    return belief, frame
+    return estimate.C_sg.T @ found.as_matrix(), trusted
+
+
+def _fit(filter_: Filter, prior: Belief, at: Belief, stars: Stars, trusted: Mask
+         ) -> tuple[Belief, Stars]:
+    """Relinearise where a frame fits best; leave out the stars that do not fit.
+
+    Parameters
+    ----------
+    filter_ : Filter
+        Scenario.
+    prior : Belief
+        Before the frame, no error expected.
+    at : Belief
+        The same, linearised where the fit is to begin.
+    stars : Stars
+        The frame.
+    trusted : (n,) bool array
+        Stars to begin with.
+
+    Returns
+    -------
+    belief, stars
+        As from `agreed`.
+
+    Raises
+    ------
+    AcquisitionError
+        Where fewer than MIN_STARS, or than half of the stars, are left.
+    """
+    usable = int(np.isfinite(stars.sigma).sum())
+    trusted = _resist(filter_, prior, at, stars, trusted)
+    for _ in range(_PASSES):
+        _require(int(trusted.sum()), usable)
+        frame = stars._replace(sigma=np.where(trusted, stars.sigma, np.inf))
+        belief, misfit = _relinearised(filter_, prior, at, frame)
+        worst = float(misfit[trusted].max())
+        if worst <= filter_.gate:
+            return belief, frame
+        # One that is far off displaces others: these stay for the next pass.
+        trusted = trusted & (misfit <= max(filter_.gate, 0.25 * worst))
+    raise AcquisitionError(f'the stars do not settle in {_PASSES} passes')
 
 
 def _require(agreeing: int, usable: int) -> None:
@@ -94,13 +190,13 @@ def _require(agreeing: int, usable: int) -> None:
                                f'{needed} are needed for an attitude')
 
 
-def _resist(filter_: Filter, start: Belief, stars: Stars, trusted: Mask) -> Mask:
+def _resist(filter_: Filter, prior: Belief, at: Belief, stars: Stars, trusted: Mask) -> Mask:
     """Fit with weights that resist what misses by more than most; return what is then near.
 
     The scale of the weights (`core.robust`) is the median miss: wrong stars that are not far off
     would pull the plain fit to them.
     """
-    belief, scale = start, stars.sigma
+    belief, scale = at, stars.sigma
     for _ in range(_ROBUST_ITERATIONS):
         uv, _, _ = filter_.predict_centroids(belief.nominal, stars.u_i)
         miss = np.linalg.norm(uv - stars.uv, axis=-1)
@@ -109,30 +205,28 @@ def _resist(filter_: Filter, start: Belief, stars: Stars, trusted: Mask) -> Mask
         update = filter_.update(belief, stars._replace(sigma=sigma), gated=False)
         fitted = update.belief.estimate
         step = fitted.minus(belief.nominal)
-        belief = Belief(fitted, fitted.minus(start.nominal), start.root)
+        belief = Belief(fitted, fitted.minus(prior.nominal), prior.root)
         if np.abs(step / filter_.scale).max() < 10.0 * _CONVERGED:
             break
     uv, _, _ = filter_.predict_centroids(belief.nominal, stars.u_i)
     return trusted & (np.linalg.norm(uv - stars.uv, axis=-1) <= 6.0 * scale)
 
 
-def _fit(filter_: Filter, start: Belief, stars: Stars, trusted: Mask) -> tuple[Belief, Stars]:
-    """Relinearise where the frame fits best; leave out the stars that do not fit."""
-    while True:
-        frame = stars._replace(sigma=np.where(trusted, stars.sigma, np.inf))
-        belief = start
-        for _ in range(_ITERATIONS):
-            update = filter_.update(belief, frame, gated=False)
-            fitted = update.belief.estimate
-            step = fitted.minus(belief.nominal)
-            # The error that the prior expects of the new linearisation point.
-            belief = Belief(fitted, fitted.minus(start.nominal), start.root)
-            if np.abs(step / filter_.scale).max() < _CONVERGED:
-                break
-        misfit = np.linalg.norm(np.where(trusted[:, None], update.residual, 0.0), axis=-1)
-        misfit = misfit / frame.sigma
-        worst = int(np.argmax(misfit))
-        if misfit[worst]**2 <= filter_.gate or trusted.sum() <= MIN_STARS:
-            return belief if filter_.feedback else start, frame
-        trusted = trusted.copy()
-        trusted[worst] = False
+def _relinearised(filter_: Filter, prior: Belief, at: Belief, frame: Stars
+                  ) -> tuple[Belief, Array]:
+    """Return where a frame fits best, and the chi-square of Eq. (A.5) of each star, (n,)."""
+    belief = at
+    for _ in range(_ITERATIONS):
+        update = filter_.update(belief, frame, gated=False)
+        fitted = update.belief.estimate
+        step = fitted.minus(belief.nominal)
+        _, H, in_view = filter_.predict_centroids(belief.nominal, frame.u_i)
+        # The error that the prior expects of the new linearisation point.
+        belief = Belief(fitted, fitted.minus(prior.nominal), prior.root)
+        if np.abs(step / filter_.scale).max() < _CONVERGED:
+            break
+    M = (H * filter_.scale) @ update.belief.root / frame.sigma[:, None, None]
+    left, turned = np.linalg.eigh(np.eye(2) - M @ np.swapaxes(M, -1, -2))
+    r = np.einsum('nji,nj->ni', turned, update.residual) / frame.sigma[:, None]
+    misfit = np.sum(r * r / np.maximum(left, _LEAST), axis=-1)
+    return belief, np.where(in_view, misfit, np.inf)

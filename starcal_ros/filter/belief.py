@@ -105,6 +105,16 @@ class Belief:
     error: Array
     root: Array
 
+    @classmethod
+    def stacked(cls, runs: Sequence[Belief]) -> Belief:
+        """Return what some runs of one filter believe as a batch."""
+        return cls(Nominal.stacked([run.nominal for run in runs]),
+                   np.stack([run.error for run in runs]), np.stack([run.root for run in runs]))
+
+    def of_run(self, run: int) -> Belief:
+        """Return what one run of a batch believes."""
+        return Belief(self.nominal.of_run(run), self.error[run], self.root[run])
+
     @property
     def estimate(self) -> Nominal:
         """The best values: the nominal ones less their expected error."""

@@ -25,7 +25,7 @@ from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
-from starcal_ros.filter.acquisition import AcquisitionError, acquire
+from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.consistency import Consistency
@@ -294,11 +294,18 @@ class Calibrator:
             self.stamp_ns = stamp_ns
             self.counts.frames += 1
             self.counts.empty_frames += not np.isfinite(frame.sigma).any()
+            acquired = self.counts.acquisitions
             start = self._with_attitude(belief, frame, gyro.reading[k])
             if start is None:
                 continue
             belief, frame = start
             update = self.filter.update(belief, frame, judged=True)
+            if update.spread > WIDE and self.counts.acquisitions == acquired:
+                belief, frame = agreed(self.filter, belief, frame)
+                update = self.filter.update(belief, frame, judged=True)
+                if not update.accepted.any():
+                    self._notices.once('agree', f'the stars of the frame at {stamp_ns} ns do not '
+                                       'agree with each other: not used')
             self.consistency.meet(stamp_ns, belief.nominal, frame, update,
                                   frames.catalog_id[rows], frames.magnitude[rows])
             self.belief = self._answered(update.belief)

@@ -139,7 +139,7 @@ class Consistency:
         variance = np.einsum('...i,...i->...', said.M, said.M)
         values = np.linalg.eigvalsh(N)
         # Stars at one place tell no roll.
-        judged = ((used > 2) & (np.sqrt(variance.max(axis=-1, initial=0.0)) < SPREAD)
+        judged = ((used > 2) & (update.spread < SPREAD)
                   & (values[..., 0] > _BLIND * values[..., -1]) & np.isfinite(update.nis))
         d = np.zeros((*said.z.shape, self._responses.E.shape[-1]))
         d[..., :WIDTH * len(HYPOTHESES)] = hypotheses.direct(

@@ -95,6 +95,8 @@ class Update(NamedTuple):
         Normalised innovation squared of all the stars used together.
     residual : (..., n, 2) array
         Measured minus predicted centroid after the update, linearised [px].
+    spread : (...) array
+        Largest predicted spread of a centroid that was used, in its sigmas.
     evidence : Evidence, optional
         What it said of the model, where asked for.
     """
@@ -104,6 +106,7 @@ class Update(NamedTuple):
     accepted: Mask
     nis: Array
     residual: Array
+    spread: Array
     evidence: kalman.Evidence | None = None
 
 
@@ -321,11 +324,15 @@ class Filter:
         nominal = belief.nominal
         if self.feedback:
             nominal, error = nominal.without(error), np.zeros_like(error)
+        variance = np.einsum('...i,...i->...', innovation.M, innovation.M)
+        spread = np.sqrt(np.max(np.where(accepted[..., None], variance, 0.0), axis=(-2, -1),
+                                initial=0.0))
         said = None
         if judged:
             said = kalman.evidence(innovation, H * scale / stars.sigma[..., None, None], accepted,
                                    root)
-        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual, said)
+        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual,
+                      spread, said)
 
 
 def _times(A: Array, x: Array) -> Array:

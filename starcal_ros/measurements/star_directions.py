@@ -33,6 +33,7 @@ class StarDirections:
     def __init__(self, scenario: Scenario) -> None:
         self._detector = detector(scenario.camera)
         self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
+        self._least = min(scenario.star_tracker.least_sigma_px, self._sigma)
         self._observer = observer(scenario.observer)
 
     def of(self, frames: Frames, notices: Notices | None = None) -> Stars:
@@ -71,7 +72,7 @@ class StarDirections:
         uv : (n, 2) array
             From the centre of the detector [px].
         sigma : (n,) array
-            Standard deviation of each axis [px].
+            Standard deviation of each axis, not less than any tracker reaches [px].
         measured : (n,) bool array
             Which can be used.
         """
@@ -81,7 +82,7 @@ class StarDirections:
                     & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
         if notices is not None and not measured.all():
             _name_unmeasured(frames, sigma, int(np.argmin(measured)), notices)
-        return uv, sigma, measured
+        return uv, np.where(measured, np.maximum(sigma, self._least), sigma), measured
 
 
 def _name_unmeasured(frames: Frames, sigma: Array, k: int, notices: Notices) -> None:

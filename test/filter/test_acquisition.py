@@ -3,18 +3,19 @@
 """The attitude from one frame: accuracy, wrong star numbers, too few stars."""
 
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from instruments import PITCH_MM, TAN2018
+from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros.config.models import observer
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.consensus import consensus
 from starcal_ros.core.units import DEG
 from starcal_ros.filter import acquisition
-from starcal_ros.filter.acquisition import MIN_STARS, AcquisitionError, acquire
+from starcal_ros.filter.acquisition import MIN_STARS, WIDE, AcquisitionError, acquire, agreed
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
 from starcal_ros.filter.states import CALIBRATED, LENS, SCALE, THETA
@@ -263,3 +264,61 @@ def test_all_numbers_wrong_give_no_attitude():
     assert wrong.all()
     with pytest.raises(AcquisitionError, match=f' of {len(wrong)} stars agree'):
         acquire(FILTER, None, stars)
+
+
+# Frames whose prediction is wide
+
+
+def turned_by(look, sigma_deg, seed):
+    """Return a calibrated belief whose attitude is off by about what it says."""
+    filter_ = Filter(TAN2018)
+    belief = filter_.begin(np.eye(3))
+    root = 1e-3 * belief.root
+    root[THETA, THETA] = np.eye(3) * sigma_deg * DEG / SCALE[0]
+    theta = sigma_deg * DEG * np.random.default_rng(seed).normal(size=3)
+    return replace(belief, root=root, nominal=look.truth.without(
+        np.concatenate((theta, np.zeros(13)))))
+
+
+@pytest.mark.parametrize('far', [True, False], ids=['anywhere', 'of the same frame'])
+@pytest.mark.parametrize('place', PLACES)
+def test_after_a_silence_wrong_stars_are_left_out(place, far):
+    """The attitude is uncertain by 10 px: each star's own gate takes wrong ones, too."""
+    look = Look(place)
+    stars, wrong = look.with_wrong_numbers(0.4, far, place)
+    stars.uv[np.flatnonzero(~wrong)[0]] += (1.5, -2.0)           # well inside its own gate
+    wrong[np.flatnonzero(~wrong)[0]] = True
+    belief = turned_by(look, 0.15, place)
+    alone = FILTER.update(belief, stars)
+    assert alone.spread > WIDE and (alone.accepted & wrong).any()
+    at, kept = agreed(FILTER, belief, stars)
+    np.testing.assert_array_equal(np.isinf(kept.sigma), wrong)
+    update = FILTER.update(at, kept)
+    np.testing.assert_array_equal(update.accepted, ~wrong)
+    error = update.belief.nominal.minus(look.truth)[THETA]
+    assert (np.abs(error) < 4.0 * update.belief.tracker_sigma).all()
+
+
+def test_a_frame_without_agreement_is_not_used():
+    look = Look(2)
+    belief = turned_by(look, 0.15, 2)
+    at, kept = agreed(FILTER, belief, look.with_wrong_numbers(0.8, False, 1)[0])
+    assert at is belief and np.isinf(kept.sigma).all()
+    assert not FILTER.update(at, kept).accepted.any()
+
+
+def test_thousands_of_stars_of_which_half_are_wrong_are_judged_in_few_passes(monkeypatch):
+    rng, n, passes = np.random.default_rng(9), 4000, []
+    true = rng.uniform(-500.0, 500.0, (n, 2))
+    wrong = rng.random(n) < 0.48
+    uv = true + 0.05 * rng.normal(size=(n, 2))
+    uv[wrong] += 10.0**rng.uniform(0.0, 2.5, (wrong.sum(), 1)) * rng.normal(size=(wrong.sum(), 2))
+    original = Filter.update
+    monkeypatch.setattr(Filter, 'update', lambda *args, **options: (
+        passes.append(1), original(*args, **options))[1])
+    _, kept = acquire(FILTER, None, Stars(camera.unproject(true, INTRINSICS, PITCH_MM), uv,
+                                          np.full(n, 0.05)))
+    assert len(passes) < 100
+    used = np.isfinite(kept.sigma)
+    # of 1e-4 good ones; a wrong one may lie within 4 sigma of its place
+    assert (used & ~wrong).sum() > 0.999 * (~wrong).sum() and (used & wrong).sum() < 0.01 * n

@@ -7,17 +7,20 @@ import time
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from instruments import TAN2018
 from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
 from starcal_ros.filter import calibrator as calibrator_module
+from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PHI, PSI
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.gyro_buffer import GyroBuffer
 from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.sky import catalog
@@ -595,6 +598,39 @@ def test_stars_with_wrong_numbers_are_refused_and_the_rest_is_used(run, seed):
     assert calibrator.counts.acquisitions == 1
     assert abs(calibrator.counts.rejected_stars - len(rows)) <= 5    # good ones: one in 10 000
     assert_right(run, results[-1])
+
+
+@pytest.mark.parametrize('part', [0.1, 0.3])
+def test_wrong_stars_and_silences_together_leave_the_sigmas_true(part):
+    """20 s without gyro, 10 s without stars: the NEES of 16 states, 4 runs, by chance 1 in 1e4.
+
+    A third of the stars has its neighbour's number or a place that is off by 0.5 to 50 px.
+    """
+    nees = []
+    for seed in range(4):
+        run = Simulated(SCENARIO.replace({
+            'simulation.seed': seed, 'truth.star_tracker.misidentified_fraction': 0.5 * part}))
+        rng, uv = np.random.default_rng(seed), run.frames.uv_raster.copy()
+        wrong = rng.random(len(uv)) < 0.5 * part
+        uv[wrong] += 10.0**rng.uniform(-0.3, 1.7, (wrong.sum(), 1)) * rng.normal(
+            size=(wrong.sum(), 2))
+        t = (run.frames.stamp_ns - START_NS) * 1e-9
+        calibrator, results = calibrated(
+            without(run.gyro, (20.0, 40.0)),
+            altered(run.frames, uv_raster=uv).take((t < 60.0) | (t > 70.0)))
+        truth = run.truth
+        nees.append(results[-1].belief.nees(Nominal(
+            run.C_gi(results[-1].stamp_ns)[0], truth.bias, truth.C_sg, truth.intrinsics)))
+    assert chi2.ppf(5e-5, 64) < np.sum(nees) < chi2.isf(5e-5, 64)
+
+
+@pytest.mark.parametrize('stated, nominal, believed', [
+    (2e-4, 0.05, 0.005), (0.02, 0.05, 0.02), (2e-4, 0.002, 0.002), (0.0, 0.05, 0.05)])
+def test_sigma_that_no_tracker_reaches_is_not_believed(run, stated, nominal, believed):
+    """But where the scenario states as little."""
+    frames = altered(run.frames[:1], sigma=np.full(run.frames.star_counts[0], stated))
+    directions = StarDirections(SCENARIO.replace({'star_tracker.centroid_sigma_px': nominal}))
+    np.testing.assert_array_equal(directions.of(frames).sigma, believed)
 
 
 def test_frames_without_any_star_of_the_catalogue_never_begin_a_track(run):
