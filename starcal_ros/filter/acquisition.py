@@ -21,6 +21,8 @@ sigma and M for the covariance after the fit, what the others leave of it is ::
 
     chi2 = r' (I - M M')^-1 r                                                           (A.5)
 
+The same finds the stars that agree on a turn which a certain prediction denies (`turned`).
+
 An attitude is believed, and a frame used, if at least half of the stars, and three, are left in
 the end.
 """
@@ -32,11 +34,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from starcal_ros.core import camera, robust
+from starcal_ros.core import camera, robust, rotation
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.consensus import consensus
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.states import LENS
 from starcal_ros.measurements.samples import Stars
 
@@ -45,6 +47,9 @@ MIN_STARS = 3
 WIDE = 3.0
 """Predicted spread of a centroid, in its sigmas, from which on the stars judge each other."""
 
+_MOST = 0.75            # part of the stars that is used of a frame with an unseen turn, at most
+_TORN = 3.0             # their NIS over its degrees of freedom, at least
+_LINEAR = 100.0         # turn that one step of the filter takes, in sigmas of a star
 _ITERATIONS = 10
 _ROBUST_ITERATIONS = 30
 _PASSES = 20            # in which stars leave the fit
@@ -117,6 +122,36 @@ def agreed(filter_: Filter, belief: Belief, stars: Stars) -> tuple[Belief, Stars
     except AcquisitionError:
         return belief, stars._replace(sigma=np.full_like(stars.sigma, np.inf))
     return found if filter_.feedback else belief, frame
+
+
+def turned(filter_: Filter, belief: Belief, stars: Stars, update: Update) -> Stars | None:
+    """Return the stars that agree on a turn which the prediction denies; None for no such turn.
+
+    A turn that nobody saw puts all stars beside their gates alike, so that some of the good ones
+    are rejected and the others are all off: stars that are wrong would leave the rest as it is.
+
+    Parameters
+    ----------
+    filter_ : Filter
+        Scenario.
+    belief : Belief
+        At the frame's stamp, its prediction not wide.
+    stars : Stars
+        The frame.
+    update : Update
+        What the gates of the stars made of it.
+    """
+    used, usable = int(update.accepted.sum()), int(np.isfinite(stars.sigma).sum())
+    if usable < MIN_STARS or used > _MOST * usable or update.nis <= _TORN * 2 * used:
+        return None
+    found, together = agreed(filter_, filter_.reacquired(belief, belief.estimate.C_gi), stars)
+    seen = np.isfinite(together.sigma)
+    if not seen.any():
+        return None
+    turn = float(np.linalg.norm(rotation.log(
+        found.estimate.C_si @ np.swapaxes(belief.estimate.C_si, -1, -2))))
+    sigma = stars.sigma[seen].max() * filter_.detector.pitch_mm / belief.estimate.intrinsics[2]
+    return together if turn < _LINEAR * sigma else None
 
 
 def _look(filter_: Filter, known: Belief, stars: Stars) -> tuple[Array, Mask]:

@@ -25,9 +25,9 @@ from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
-from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed
+from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed, turned
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
-from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.consistency import Consistency
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
 from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
@@ -300,18 +300,14 @@ class Calibrator:
                 continue
             belief, frame = start
             update = self.filter.update(belief, frame, judged=True)
-            if update.spread > WIDE and self.counts.acquisitions == acquired:
-                belief, frame = agreed(self.filter, belief, frame)
-                update = self.filter.update(belief, frame, judged=True)
-                if not update.accepted.any():
-                    self._notices.once('agree', f'the stars of the frame at {stamp_ns} ns do not '
-                                       'agree with each other: not used')
+            if self.counts.acquisitions == acquired:
+                belief, frame, update = self._together(belief, frame, update)
             self.consistency.meet(stamp_ns, belief.nominal, frame, update,
                                   frames.catalog_id[rows], frames.magnitude[rows])
             self.belief = self._answered(update.belief)
             usable = np.isfinite(stars.sigma[rows])
             self._account(update, usable)
-            yield FrameResult(stamp_ns, update.belief, frames.uv_raster[rows],
+            yield FrameResult(stamp_ns, self.belief, frames.uv_raster[rows],
                               np.where(usable[:, None], update.residual, np.nan),
                               np.where(usable, update.chi2, np.nan), update.accepted,
                               frames.catalog_id[rows], float(update.nis), track)
@@ -349,6 +345,22 @@ class Calibrator:
             self._notices.say(f'attitude lost, found again at {self.stamp_ns} ns')
         found_belief, frame = found
         return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
+
+    def _together(self, belief: Belief, frame: Stars, update: Update
+                  ) -> tuple[Belief, Stars, Update]:
+        """Judge the stars of a frame by each other where their own gates can not."""
+        if update.spread > WIDE:
+            belief, frame = agreed(self.filter, belief, frame)
+            update = self.filter.update(belief, frame, judged=True)
+            if not update.accepted.any():
+                self._notices.once('agree', f'the stars of the frame at {self.stamp_ns} ns do not '
+                                   'agree with each other: not used')
+        elif (stars := turned(self.filter, belief, frame, update)) is not None:
+            self._notices.once('turned', f'the stars of the frame at {self.stamp_ns} ns agree on '
+                               'a turn that the gyro did not see')
+            frame = stars
+            update = self.filter.update(belief, frame, gated=False, judged=True)
+        return belief, frame, update
 
     def _answered(self, belief: Belief) -> Belief:
         """Return a belief that knows of what has changed, where that is seen after this frame."""

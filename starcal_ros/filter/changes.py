@@ -163,8 +163,12 @@ class Changes:
         between = (starts[2:] - starts[:-2]) / (now_ns - starts[1:-1])
         return int(order[1 + int(np.argmin(between))])
 
-    def find(self, now_ns: int, fit: Fit, responses: Responses) -> Answer | None:
-        """Return what has changed and what follows; None for nothing that can be told."""
+    def find(self, now_ns: int, fit: Fit, responses: Responses, noise_as_stated: bool
+             ) -> Answer | None:
+        """Return what has changed and what follows; None for nothing that can be told.
+
+        Noise that is not as it is stated may look like a drift.
+        """
         if not self._starts:
             return None
         gain, known = fit.gain[_FIRST:], len(self._starts) * len(CHANGING)
@@ -177,7 +181,7 @@ class Changes:
                 gain[best] > rival + TOLD) and self._clean[best // len(CHANGING)]:
             return self._step(best, now_ns, gain, fit, responses)
         rival = max(steady, float(gain[best]))
-        if fit.gain[drift] > _limit(int(fit.freedom[drift]), 1) and (
+        if noise_as_stated and fit.gain[drift] > _limit(int(fit.freedom[drift]), 1) and (
                 fit.gain[drift] > rival + TOLD):
             return self._drift(drift, now_ns, fit, responses)
         return None

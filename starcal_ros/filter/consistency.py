@@ -190,10 +190,11 @@ class Consistency:
             return None
         found = None
         seldom = not self.changes or stamp_ns > self.changes[-1].found_ns + SELDOM_NS
-        noise_as_stated = all(
-            1.0 / SCATTER < factor < SCATTER for factor in self.variance_factors())
-        if wanted and seldom and noise_as_stated:
-            found = self._changes.find(stamp_ns, self._responses.fit(), self._responses)
+        if wanted and seldom:
+            noise_as_stated = all(
+                1.0 / SCATTER < factor < SCATTER for factor in self.variance_factors())
+            found = self._changes.find(
+                stamp_ns, self._responses.fit(), self._responses, noise_as_stated)
         if found is None:
             self._changes.begin(stamp_ns, self._clean(), self._responses)
             return None
