@@ -23,6 +23,7 @@ The seven intrinsics are one array (..., 7) in the order of the filter's state,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,11 @@ INTRINSICS_SCALE = np.array([0.1, 0.1, 1e-4, 1e-6, 1e-8, 1e-6, 1e-6])
 
 _STEPS = 6              # of Newton's method, at most
 _LAST_STEP = 1e-7       # of the focal length
+_RAYS = 72              # from the axis outwards, on which the field is searched
+_EDGE = 9               # points of each side of the detector that have a ray of their own
+_GROWTH = 1.01          # of the angle from one point of a ray to the next,
+_FIRST = 0.1            # from this part of the pinhole field on
+_WIDEST = np.radians(89.0)
 
 
 @dataclass(frozen=True)
@@ -244,3 +250,70 @@ def distortion(uv: Array, intrinsics: Array, pitch_mm: float) -> Array:
     x, y = (uv[..., 0] - u0) * pitch_mm, (uv[..., 1] - v0) * pitch_mm
     x_distorted, y_distorted, *_ = _distorted(x, y, *lens)
     return np.stack((x_distorted - x, y_distorted - y), axis=-1) / pitch_mm
+
+
+class FieldOfView(NamedTuple):
+    """What part of the sky a camera sees.
+
+    Attributes
+    ----------
+    radius : float
+        Largest angle from the boresight, 89 deg at most [rad].
+    whole : bool
+        False where the distortion folds back, or 89 deg are reached, before the edge of the
+        detector: what lies further off sees nothing.
+    """
+
+    radius: float
+    whole: bool
+
+
+def unfolded(r_s: Array, intrinsics: Array) -> Mask:
+    """Tell for which directions (..., n, 3) the distortion keeps the image's handedness.
+
+    Where it does not, the polynomial has turned back: it puts stars from far outside the field
+    onto the detector, which no lens does.
+    """
+    _, _, f, *lens = (intrinsics[..., k, None] for k in range(7))
+    x, y = -f * r_s[..., 0] / r_s[..., 2], -f * r_s[..., 1] / r_s[..., 2]
+    _, _, s, rr = _distorted(x, y, *lens)
+    D_xx, D_xy, D_yy = _distorted_slope(x, y, s, rr, *lens)
+    return (D_xx * D_yy > D_xy * D_xy) & (D_xx + D_yy > 0.0)
+
+
+def field_of_view(detector: Detector, intrinsics: Array, margin: float = 1.0) -> FieldOfView:
+    """Return the field of a camera with intrinsics (7,), to a hundredth of its radius.
+
+    It is searched outwards from the axis up to where the distortion folds back, through the lens
+    as it is: how strong that is does not matter.
+
+    Parameters
+    ----------
+    detector : Detector
+        Its pixels.
+    intrinsics : (7,) array
+        Camera.
+    margin : float
+        By which the detector is taken larger than it is, for `radius` alone.
+    """
+    size = np.array([detector.width, detector.height])
+    side = np.linspace(-0.5, 0.5, _EDGE)
+    edge = size * np.concatenate([
+        np.stack(np.broadcast_arrays(*at), axis=-1)
+        for at in ((side, -0.5), (side, 0.5), (-0.5, side), (0.5, side))]) - intrinsics[:2]
+    way = np.concatenate((np.arctan2(edge[:, 1], edge[:, 0]),
+                          np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)))
+    pinhole = np.arctan(detector.pitch_mm * np.hypot(*edge.T).max() / intrinsics[2])
+    count = int(np.ceil(np.log(_WIDEST / (_FIRST * pinhole)) / np.log(_GROWTH)))
+    angle = np.append(0.0, np.minimum(_FIRST * pinhole * _GROWTH**np.arange(count + 1), _WIDEST))
+    r_s = np.empty((len(way), len(angle), 3))
+    r_s[..., 0], r_s[..., 1] = (-np.sin(angle) * part[:, None]
+                                for part in (np.cos(way), np.sin(way)))
+    r_s[..., 2] = np.cos(angle)
+    reached = np.logical_and.accumulate(unfolded(r_s, intrinsics), axis=1)
+    uv = project(r_s, intrinsics, detector.pitch_mm)
+    seen = reached & detector.contains(uv / margin)
+    ends = reached.sum(axis=1) - 1
+    whole = not detector.contains(uv[np.arange(len(way)), ends]).any()
+    return FieldOfView(float(min(_GROWTH * angle[seen.any(axis=0)].max(initial=0.0), _WIDEST)),
+                       whole)

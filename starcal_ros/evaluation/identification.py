@@ -78,8 +78,10 @@ class Viewer:
     def at(self, C_si: Array, stamp_ns: int) -> SimulatedFrame:
         """Return the frame of an attitude."""
         stars, rng, detector = catalog.load(self.limiting_magnitude), self.rng, self.detector
-        reach = np.arctan(detector.pitch_mm * np.hypot(detector.width, detector.height)
-                          / self.intrinsics[2])
+        # Twice the pinhole field, or what a strong barrel draws in from further off.
+        reach = max(np.arctan(detector.pitch_mm * np.hypot(detector.width, detector.height)
+                              / self.intrinsics[2]),
+                    camera.field_of_view(detector, self.intrinsics, 1.1).radius)
         row = np.flatnonzero(erfa.s2c(stars.ra, stars.dec) @ C_si[2] > np.cos(reach))
         u_i = apparent_places(stars, row, [stamp_ns], [len(row)], self.observer)
         uv = camera.project(u_i @ C_si.T, self.intrinsics, detector.pitch_mm)

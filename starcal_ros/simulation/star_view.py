@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import erfa
 import numpy as np
 
@@ -19,6 +21,7 @@ from starcal_ros.sky.catalog import Catalog
 Rows = Ints
 
 _MARGIN = 1e-3          # rad, more than aberration and proper motion move a star
+_AROUND = 1.1           # detectors: what trails into the picture, and light beside a star
 
 
 class StarView:
@@ -32,6 +35,11 @@ class StarView:
         Camera, mounting and attitude.
     stars : Catalog
         The stars that are there.
+
+    Warns
+    -----
+    UserWarning
+        Where the distortion folds back before the edge of the detector.
     """
 
     def __init__(self, scenario: Scenario, truth: Truth, stars: Catalog) -> None:
@@ -39,10 +47,11 @@ class StarView:
         self._direction = erfa.s2c(stars.ra, stars.dec)
         self._observer = observer(scenario.observer, scenario.truth.observer)
         self._instants_ns = instants_ns(scenario.star_tracker.exposure_s)
-        half = truth.detector.pitch_mm * np.hypot(truth.detector.width, truth.detector.height) / 2
-        offset = np.hypot(*truth.intrinsics[:2]) * truth.detector.pitch_mm
-        # 1.1: the distortion may draw in stars from outside the pinhole field
-        self._cos_radius = np.cos(np.arctan2(1.1 * half + offset, truth.intrinsics[2]) + _MARGIN)
+        field = camera.field_of_view(truth.detector, truth.intrinsics, _AROUND)
+        self._cos_radius = np.cos(field.radius + _MARGIN)
+        if not field.whole:
+            warnings.warn('truth.camera.distortion: folds back before the edge of the detector; '
+                          f'no star is seen beyond {np.degrees(field.radius):.1f} deg')
 
     def near(self, middle_ns: Rows) -> tuple[Rows, Rows, Array]:
         """Return the stars about the lines of sight of some frames.
@@ -62,8 +71,9 @@ class StarView:
         C_si = self.truth.attitude_si(middle_ns)
         near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
         frame, star = np.nonzero(near)
-        return frame, star, apparent_places(self._stars, star, middle_ns, near.sum(axis=1),
-                                            self._observer)
+        u_i = apparent_places(self._stars, star, middle_ns, near.sum(axis=1), self._observer)
+        there = camera.unfolded((C_si[frame] @ u_i[..., None])[..., 0], self.truth.intrinsics)
+        return frame[there], star[there], u_i[there]
 
     def at(self, stamps_ns: Rows, frame: Rows, u_i: Array) -> Array:
         """Return the images uv (n, 2) [px] of stars of some frames, each frame at its stamp."""

@@ -273,6 +273,86 @@ def pole(limiting_magnitude=6.2, **more):
                                 np.random.default_rng(1)).next(1)
 
 
+# 49 deg to the corner without distortion, 65 deg with it; one to one as far as there is a sky.
+BARREL = {'truth.camera.focal_length_mm': 4.0,
+          'truth.camera.distortion': (-0.02, 2e-4, 1e-4, -1e-4)}
+
+
+def random_sky(count):
+    rng = np.random.default_rng(4)
+    zero = np.zeros(count)
+    return Catalog(np.arange(1, count + 1), rng.uniform(0.0, 2.0 * np.pi, count),
+                   np.arcsin(rng.uniform(-1.0, 1.0, count)), zero, zero, zero, zero)
+
+
+@pytest.fixture(scope='module')
+def barrel():
+    setting = TAN2018.replace({**BARREL, 'truth.star_tracker.centroid_sigma_px': 0.0,
+                               'star_tracker.rate_hz': 0.02, 'observer.velocity': 'barycentre'})
+    truth, stars = Truth.from_scenario(setting), random_sky(30_000)
+    return setting, truth, stars, StarTrackerSimulator(
+        setting, truth, stars, np.random.default_rng(1)).next(10)
+
+
+def test_no_star_that_a_strong_barrel_draws_in_is_left_out(barrel):
+    """Against all stars of the sky in front of the camera."""
+    setting, truth, stars, frames = barrel
+    C_si = truth.attitude_si(frames.stamp_ns)
+    for k, stamp in enumerate(frames.stamp_ns):
+        u_i = apparent_places(stars, np.arange(len(stars)), [stamp], [len(stars)],
+                              models.observer(setting.observer))
+        r_s = u_i @ C_si[k].T
+        front = np.flatnonzero(r_s[:, 2] > 0.01)
+        uv = camera.project(r_s[front], truth.intrinsics, truth.detector.pitch_mm)
+        expected = front[truth.detector.contains(uv)] + 1
+        seen = frames.catalog_id[frames.first[k]:frames.first[k + 1]]
+        np.testing.assert_array_equal(np.sort(seen), expected)
+
+
+def test_corners_behind_a_strong_barrel_show_the_sky_as_densely_as_the_middle(barrel):
+    """Stars over solid angle, of 100 pixels to each side of a corner and in the middle."""
+    _, truth, stars, frames = barrel
+    uv = frames.uv_raster - truth.detector.centre_raster
+    grid = np.stack(np.meshgrid(*(np.arange(-512.0, 513.0, 4.0),) * 2), axis=-1)
+    sky = camera.unproject(grid.reshape(-1, 2), truth.intrinsics, truth.detector.pitch_mm,
+                           steps=50).reshape(grid.shape[:2] + (3,))
+    across = np.cross(np.diff(sky, axis=0)[:, :-1], np.diff(sky, axis=1)[:-1])
+    solid, middle = np.linalg.norm(across, axis=-1), grid[:-1, :-1] + 2.0
+    for where in (lambda at: (np.abs(at) > 412.0).all(axis=-1),
+                  lambda at: (np.abs(at) < 200.0).all(axis=-1)):
+        expected = len(stars) / (4.0 * np.pi) * solid[where(middle)].sum() * len(frames)
+        assert where(uv).sum() / expected == pytest.approx(1.0, abs=0.1)
+
+
+def test_field_reaches_to_the_farthest_corner(barrel):
+    _, truth, _, _ = barrel
+    corners = np.array([[u, v] for u in (-512.0, 512.0) for v in (-512.0, 512.0)])
+    rays = camera.unproject(corners, truth.intrinsics, truth.detector.pitch_mm, steps=50)
+    field = camera.field_of_view(truth.detector, truth.intrinsics)
+    farthest = np.arccos(rays[:, 2]).max()
+    assert farthest > 60.0 * DEG and field.whole
+    assert 1.0 <= field.radius / farthest < 1.02
+
+
+def test_lens_that_folds_back_before_the_corner_shows_what_it_can_and_says_so():
+    """``1 + 3 k1 r^2 = 0`` at 2.58 mm: beyond it the polynomial comes back."""
+    setting = TAN2018.replace({**BARREL, 'truth.camera.distortion': (-0.05, 0.0, 0.0, 0.0),
+                               'truth.star_tracker.centroid_sigma_px': 0.0})
+    truth = Truth.from_scenario(setting)
+    fold = np.arctan(np.sqrt(1.0 / 0.15) / 4.0)
+    with pytest.warns(UserWarning, match='truth.camera.distortion: folds back.* 33.0 deg'):
+        simulator = StarTrackerSimulator(setting, truth, random_sky(2000),
+                                         np.random.default_rng(1))
+    frames = simulator.next(20)
+    stars, C_si = random_sky(2000), truth.attitude_si(frames.stamp_ns)
+    off = np.arccos([C_si[k, 2] @ apparent_places(
+        stars, np.array([row]), [frames.stamp_ns[k]], [1], models.observer(setting.observer))[0]
+        for k, row in zip(frames.frame_index, frames.catalog_id - 1)])
+    assert 0.97 * fold < off.max() < fold
+    # as many as a cap of that radius has, but for what lies outside the detector
+    assert len(off) / len(frames) == pytest.approx(1000.0 * (1.0 - np.cos(fold)), rel=0.2)
+
+
 def test_a_star_on_the_boresight_falls_on_the_middle_of_the_raster():
     frame = pole()
     np.testing.assert_allclose(frame.uv_raster, [[499.5, 300.0]], atol=1e-11)
