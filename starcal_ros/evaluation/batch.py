@@ -10,7 +10,7 @@ matter of single streams, is left out.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +20,13 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
+from starcal_ros.evaluation.augmented import true_values
 from starcal_ros.filter.acquisition import WIDE, acquire, agreed
+from starcal_ros.filter.augmentation import NONE, Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter, Update
-from starcal_ros.filter.states import PHI
+from starcal_ros.filter.states import N_STATES, PHI
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import SIGMA_PX
@@ -48,12 +50,13 @@ class Runs:
         Seeds.
     time : (n, m) array
         When the errors were taken, the last of them after the last frame [s].
-    error : (n, m, 16) array
-        Estimate minus truth, T18's states, in the filter's units.
-    sigma : (n, m, 16) array
+    error : (n, m, 16 + k) array
+        Estimate minus truth at that time, T18's states and then the k values of the optional ones
+        that are on, in the filter's units.
+    sigma : (n, m, 16 + k) array
         What the filter states.
     nees : (n, m) array
-        Normalised estimation error squared, 16 degrees of freedom.
+        Normalised estimation error squared, 16 + k degrees of freedom.
     nis, nis_degrees : (n,) array
         Sums over the run: normalised innovations squared, their degrees of freedom.
     attitude_rms : (n, 3) array
@@ -119,7 +122,7 @@ def run_batch(scenario: Scenario, seeds: Sequence[int],
     on_progress : callable
         Called with the part done, 0 to 1.
     """
-    tally = _Tally(seeds, Truth.from_scenario(scenario), frame_count(scenario),
+    tally = _Tally(TrueRuns.of(scenario, seeds), frame_count(scenario),
                    scenario.star_tracker.rate_hz)
     for step in follow(scenario, seeds, on_progress):
         tally.add(step)
@@ -169,10 +172,48 @@ def frame_count(scenario: Scenario) -> int:
     return sensors.star_tracker(scenario).count
 
 
-def nominal(truth: Truth, stamp_ns: int) -> Nominal:
-    """Return the true values at a stamp."""
-    C_gi = truth.motion.attitude(np.array([stamp_ns]))[0].T
-    return Nominal(C_gi, truth.bias, truth.C_sg, truth.intrinsics)
+def nominal(truth: Truth, stamp_ns: int, augmentation: Augmentation = NONE) -> Nominal:
+    """Return the true values at a stamp, where bias and mounting are on their way there."""
+    stamp = np.array([stamp_ns])
+    return Nominal(truth.motion.attitude(stamp)[0].T, truth.bias_at(stamp)[0],
+                   truth.mounting_at(stamp)[0], truth.intrinsics,
+                   true_values(augmentation, truth), augmentation=augmentation)
+
+
+@dataclass(frozen=True)
+class TrueRuns:
+    """The true values behind the runs of a batch.
+
+    Attributes
+    ----------
+    seeds : sequence of int
+        One for each run.
+    truths : sequence of Truth
+        Of each run; the first alone where nothing moves, since they then differ in nothing.
+    augmentation : Augmentation
+        Which optional states the filter has.
+    """
+
+    seeds: Sequence[int]
+    truths: Sequence[Truth]
+    augmentation: Augmentation
+
+    @classmethod
+    def of(cls, scenario: Scenario, seeds: Sequence[int]) -> TrueRuns:
+        """Return those of a scenario with several seeds."""
+        truths = [Truth.from_scenario(scenario.replace({'simulation.seed': int(seed)}))
+                  for seed in seeds]
+        return cls(seeds, truths if truths[0].moves else truths[:1],
+                   Augmentation.of(scenario.estimator.augment))
+
+    def at(self, stamp_ns: int) -> Nominal:
+        """Return the true values at a stamp; bias and mounting of each run where they move."""
+        first, stamp = self.truths[0], np.array([stamp_ns])
+        true = nominal(first, stamp_ns, self.augmentation)
+        if not first.moves:
+            return true
+        return replace(true, bias=np.stack([run.bias_at(stamp)[0] for run in self.truths]),
+                       C_sg=np.stack([run.mounting_at(stamp)[0] for run in self.truths]))
 
 
 def attitude_error(C_gi: Array, true: Nominal) -> Array:
@@ -181,9 +222,10 @@ def attitude_error(C_gi: Array, true: Nominal) -> Array:
 
 
 def state_error(estimate: Nominal, true: Nominal) -> Array:
-    """Return the errors of T18's states, (..., 16), in the filter's units."""
+    """Return the errors of T18's states and of augmented values, (..., 16 + m)."""
     error = estimate.minus(true)
     error[..., PHI] = attitude_error(estimate.C_gi, true)
+    error[..., N_STATES:] = estimate.augmented - true.augmented
     return error
 
 
@@ -257,11 +299,11 @@ def _together(found: Sequence[tuple[Belief, Stars]], frame: Stars) -> tuple[Beli
 class _Tally:
     """Collects what `Runs` holds."""
 
-    def __init__(self, seeds: Sequence[int], truth: Truth, frames: int, rate_hz: float) -> None:
-        self._seeds, self._truth, self._frames = seeds, truth, frames
+    def __init__(self, truth: TrueRuns, frames: int, rate_hz: float) -> None:
+        self._truth, self._frames = truth, frames
         self._every = max(1, min(round(RECORD_S * rate_hz), frames // 20))
         self._last_minutes = frames - round(REPROJECTION_S * rate_hz)
-        n = len(seeds)
+        n = len(truth.seeds)
         self._time: list[float] = []
         self._error: list[Array] = []
         self._sigma: list[Array] = []
@@ -281,21 +323,21 @@ class _Tally:
         second_half, kept = 2 * number >= self._frames, (number + 1) % self._every == 0
         if not (second_half or kept or number + 1 == self._frames):
             return
-        belief, true = update.belief, nominal(self._truth, step.stamp_ns)
+        belief, true = update.belief, self._truth.at(step.stamp_ns)
         estimate = belief.estimate
         if second_half:
             self._phi += attitude_error(estimate.C_gi, true)**2
         if kept or number + 1 == self._frames:
-            self._time.append((step.stamp_ns - self._truth.motion.start_ns) * NS)
+            self._time.append((step.stamp_ns - self._truth.truths[0].motion.start_ns) * NS)
             self._error.append(state_error(estimate, true))
-            self._sigma.append(belief.sigma)
+            self._sigma.append(np.concatenate((belief.sigma, belief.augmented_sigma), axis=-1))
             self._nees.append(belief.nees(true))
 
     def runs(self) -> Runs:
         """Return it all."""
-        n = len(self._seeds)
+        n = len(self._truth.seeds)
         half = self._frames - (self._frames + 1) // 2
-        return Runs(np.array(self._seeds, np.int64), np.tile(self._time, (n, 1)),
+        return Runs(np.array(self._truth.seeds, np.int64), np.tile(self._time, (n, 1)),
                     np.stack(self._error, axis=1), np.stack(self._sigma, axis=1),
                     np.stack(self._nees, axis=1), self._nis, self._degrees,
                     np.sqrt(self._phi / max(half, 1)),

@@ -4,34 +4,48 @@
 
 Model
 -----
-All frames at once, in T18's own coordinates, nothing of the filter's recursion. The unknowns are
-the attitude errors phi_k of all frames and the 13 constants c = (epsilon, Psi, intrinsics) ::
+T18's own coordinates, nothing of the filter's recursion. The unknowns of frame k are the attitude
+error phi and the calibrated states c = (epsilon, Psi, intrinsics), behind them the optional ones::
 
-    gyro      0 = phi_k+1 - phi_k - B_k epsilon - n,     B_k = int C_ig dt,  n ~ N(0, N^2 dt I)
-    star      z = H_s C_si phi_k + H_s Psi + H_lens lens - w,               w ~ N(0, sigma^2 I)
-    prior     c ~ N(0, initial sigmas)
+    gyro      phi_k+1 = phi_k + int K (epsilon(t) dt + N dw),    K = C_ig (I + M)^-1
+    states    c_k+1 = c_k + int Q dv        w, v Wiener processes; Q = 0 for a state that stays
+    star      z = H_s C_si phi_k + H_s Psi + H_lens lens - n,               n ~ N(0, sigma^2 I)
+    prior     c_0 ~ N(0, initial sigmas)
 
-Whitened and stacked these are A x = noise; the information is A' A, sparse, summed frame by frame,
-and the bound the block of its inverse that belongs to the last attitude and the constants.
+An interval adds noise to phi and epsilon together, with ``F(t) = int K dt`` from t to its end and
+its mean F_m over the interval of length T ::
+
+    epsilon   Q sqrt(T) n1
+    phi       F_m Q sqrt(T) n1 + n2
+    cov n2 =  N^2 int K K' dt + int (F - F_m) Q Q' (F - F_m)' dt
+
+This is least squares: whitened rows A x = noise for all unknowns. Householder's reflections
+eliminate one frame after the other, so that what is kept is a triangle R, and R' R is the
+information on the unknowns of the last frame (Bierman, *Factorization Methods for Discrete
+Sequential Estimation*, 1977, Ch. VI). States that stay and a gyro without noise have no rows of
+their own; nothing is inverted but R at the end. On the right of the rows stands, for each initial
+sigma, what a first error of that size adds: what is left of it at the end, Z, is the prior's part.
+
 Everything is evaluated at the truth, and the slopes H are differences of the projection: a wrong
 Jacobian of the filter is not repeated here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
+from starcal_ros.evaluation import augmented
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.states import CALIBRATED, EPSILON, N_STATES, PHI, SCALE
+from starcal_ros.filter.states import CALIBRATED, EPSILON, N_STATES, PHI
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import SIGMA_PX
 from starcal_ros.simulation import sensors
@@ -44,22 +58,73 @@ _BATCH = 500            # frames taken at once
 _STEP_S = 0.02          # of the quadrature of C_ig; a slew turns by 0.01 deg in it
 
 
+@dataclass(frozen=True)
+class Bound:
+    """The bound after a frame.
+
+    Attributes
+    ----------
+    root : (n, n) array
+        Root of the covariance of the n = 16 + m states, in the filter's units.
+    prior : (n, n - 3) array
+        Z: first errors of the calibrated and the optional states, in their initial sigmas, leave
+        ``root @ prior`` of themselves as the mean error.
+    """
+
+    root: Array
+    prior: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Bound on the covariance, (n, n), in the filter's units."""
+        return self.root @ self.root.T
+
+    @property
+    def sigma(self) -> Array:
+        """Bound on the standard deviations, (n,), in the filter's units."""
+        return np.linalg.norm(self.root, axis=-1)
+
+    @property
+    def prior_part(self) -> Array:
+        """Part of each state's variance that is the prior's, (n,): 1 where nothing is seen."""
+        return np.sum((self.root @ self.prior)**2, axis=-1) / self.sigma**2
+
+    def nees_moments(self, first: Array) -> tuple[float, float]:
+        """Return mean and variance of the NEES of runs that all begin with the same errors.
+
+        Parameters
+        ----------
+        first : (n - 3,) array
+            First errors of the calibrated and the optional states, in their initial sigmas. If
+            they were drawn for each run the mean would be n, the variance 2 n.
+        """
+        left = self.prior @ first
+        drawn = np.eye(len(left)) - self.prior @ self.prior.T
+        return (float(np.trace(drawn) + left @ left),
+                float(2.0 * np.sum(drawn**2) + 4.0 * left @ drawn @ left))
+
+
 def after(scenario: Scenario, times: Sequence[float] | Array) -> Array:
-    """Return the bound on the covariance of T18's 16 states at some times, (m, 16, 16).
+    """Return the bound on the covariance of the 16 + m states at some times.
 
     Parameters
     ----------
     scenario : Scenario
         Its own duration does not matter.
-    times : (m,) sequence
+    times : (n,) sequence
         Since the start, each after a first frame at least [s]. A bound is that of a run of this
         length, after its last frame.
 
     Returns
     -------
-    covariance : (m, 16, 16) array
+    covariance : (n, 16 + m, 16 + m) array
         In the filter's units.
     """
+    return np.stack([bound.covariance for bound in at(scenario, times)])
+
+
+def at(scenario: Scenario, times: Sequence[float] | Array) -> list[Bound]:
+    """Return the bounds at some times, as `after` takes them."""
     tracker = sensors.star_tracker(scenario.replace({'simulation.duration_s': float(max(times))}))
     frames = tracker.next(tracker.count)
     stars = catalog.load(scenario.star_tracker.limiting_magnitude)
@@ -70,95 +135,133 @@ def after(scenario: Scenario, times: Sequence[float] | Array) -> Array:
 
 
 def cramer_rao(filter_: Filter, truth: Truth, frames: Frames, u_i: Array, ends: Sequence[int]
-               ) -> Array:
-    """Return the bound on the covariance of T18's 16 states after some of the frames.
+               ) -> list[Bound]:
+    """Return the bounds after some of the frames.
 
     Parameters
     ----------
     filter_ : Filter
-        Its gyro noise and initial sigmas.
+        Its gyro noise, process noise, initial sigmas, and which optional states it has.
     truth : Truth
-        Camera, mounting, motion.
+        Camera, mounting, motion, gyro.
     frames : Frames
         Stamps, sigmas and catalogue numbers of the stars; the centroids do not matter.
     u_i : (n_stars, 3) array
         Their apparent places.
     ends : sequence of int
         Numbers of frames, from the first on, that are known each time.
-
-    Returns
-    -------
-    covariance : (m, 16, 16) array
-        In the filter's units.
     """
-    seen = np.concatenate([np.empty((0, N_STATES, N_STATES)), *(
-        _information(truth, frames[low:low + _BATCH],
-                     u_i[frames.first[low]:frames.first[min(low + _BATCH, len(frames))]])
-        for low in range(0, len(frames), _BATCH))])
-    B = (turned(truth.motion, frames.stamp_ns) if len(frames) > 1 else np.empty((0, 3, 3))) * (
-        SCALE[EPSILON] / SCALE[PHI])
-    prior = np.diag((SCALE / filter_.initial_sigma[:N_STATES])[CALIBRATED]**2)
-    walk = filter_.walk * np.sqrt(np.diff(frames.stamp_ns) * NS) / SCALE[0]
-    covariance = np.stack([
-        _perfect_gyro(seen[:n], B[:n - 1], prior) if filter_.walk == 0.0 else
-        _walking_gyro(seen[:n], B[:n - 1], walk[:n - 1], prior) for n in ends])
-    return 0.5 * (covariance + np.swapaxes(covariance, -1, -2)) * np.outer(SCALE, SCALE)
+    states = len(filter_.scale)
+    R = np.diag(filter_.scale / filter_.initial_sigma)
+    R[PHI] = 0.0
+    R = np.concatenate((R, np.eye(states)[:, PHI.stop:]), axis=1)
+    known: dict[int, Bound] = {}
+    for low in range(0, len(frames), _BATCH):
+        part = frames[low:low + _BATCH]
+        seen = _seen(filter_, truth, part,
+                     u_i[frames.first[low]:frames.first[low + len(part)]])
+        stamps = frames.stamp_ns[max(low - 1, 0):low + len(part)]
+        turn, noise = _interval(filter_, truth, stamps)
+        for k in range(len(part)):
+            number = low + k + 1
+            if number > 1:
+                step = k - len(part)
+                R = _carried(R, turn[step], noise[step])
+            R = _triangle(np.concatenate((R, seen[k])))[:states]
+            if number in ends:
+                known[number] = Bound(filter_.scale[:, None] * np.linalg.inv(R[:, :states]),
+                                      R[:, states:])
+    return [known[number] for number in ends]
 
 
-def _information(truth: Truth, frames: Frames, u_i: Array) -> Array:
-    """Return what the stars of each frame say of its phi and the constants, (n, 16, 16)."""
-    C_si = truth.attitude_si(frames.stamp_ns)
+def _triangle(rows: Array) -> Array:
+    """Return the triangle that a reflection of rows leaves."""
+    return np.asarray(np.linalg.qr(rows, mode='r'))
+
+
+def _carried(R: Array, turn: Array, noise: Array) -> Array:
+    """Return R for the unknowns of the next frame.
+
+    Parameters
+    ----------
+    R : (n, n + c) array
+        For those of this frame, and Z on its right.
+    turn : (3, n) array
+        What each state adds to phi; nothing for phi itself.
+    noise : (n, p) array
+        Root of the covariance that the interval adds.
+    """
+    n, p = noise.shape
+    rows = np.zeros((p + n, p + R.shape[1]))
+    rows[range(p), range(p)] = 1.0
+    rows[p:, p:] = R
+    rows[p:, p:p + n] -= R[:, PHI] @ turn       # in the unknowns of the next frame, turned back
+    rows[p:, :p] = -rows[p:, p:p + n] @ noise
+    return _triangle(rows)[p:, p:]
+
+
+def _seen(filter_: Filter, truth: Truth, frames: Frames, u_i: Array) -> Array:
+    """Return a root of what the stars of each frame say, (n, q, n + c) rows of `_carried`'s R."""
+    middle_ns = frames.stamp_ns - round(truth.time_offset / NS)
+    C_si = truth.attitude_si(middle_ns)
     frame = frames.frame_index
     r_s = (C_si[frame] @ u_i[..., None])[..., 0]
     H_s, H_lens = _slopes(r_s, truth)
-    A = np.concatenate((H_s @ C_si[frame], np.zeros_like(H_s), H_s, H_lens), axis=-1) * SCALE
-    A /= np.maximum(frames.sigma, SIGMA_PX[0])[:, None, None]
-    seen = np.zeros((len(frames), N_STATES, N_STATES))
-    for k, (low, high) in enumerate(zip(frames.first[:-1], frames.first[1:])):
-        rows = A[low:high].reshape(-1, N_STATES)
-        seen[k] = rows.T @ rows
-    return seen
+    A = np.zeros((len(u_i), 2, len(filter_.scale)))
+    A[..., :N_STATES] = np.concatenate(
+        (H_s @ C_si[frame], np.zeros_like(H_s), H_s, H_lens), axis=-1)
+    for state, _, among in filter_.augmentation.errors():
+        imaged = augmented.of(state).imaged
+        if imaged is not None:
+            A[..., among] = imaged(truth, middle_ns[frame], u_i)
+    A *= filter_.scale / np.maximum(frames.sigma, SIGMA_PX[0])[:, None, None]
+    rows = np.zeros((len(frames), int(frames.star_counts.max(initial=0)), *A.shape[1:]))
+    rows[frame, np.arange(len(frame)) - frames.first[frame]] = A
+    root = _triangle(rows.reshape(len(frames), -1, A.shape[-1]))
+    return np.concatenate((root, np.zeros((*root.shape[:2], root.shape[2] - PHI.stop))), axis=-1)
 
 
-def _walking_gyro(seen: Array, B: Array, walk: Array, prior: Array) -> Array:
-    """Return the bound with an attitude for each frame, tied to the next by the gyro.
+def _interval(filter_: Filter, truth: Truth, stamps_ns: Ints) -> tuple[Array, Array]:
+    """Return `turn` and `noise` of `_carried` for each interval between stamps."""
+    scale, states = filter_.scale, len(filter_.scale)
+    n = len(stamps_ns) - 1
+    turn = np.zeros((n, 3, states))
+    noise = np.zeros((n, states, 0))
+    if n == 0:
+        return turn, noise
+    nodes, h = _nodes(stamps_ns)
+    K = _at(nodes, truth.motion.attitude) @ augmented.gain(truth)
+    pieces = _simpson(K, h)
+    turn[..., EPSILON] = pieces.sum(axis=0)
+    for state, _, among in filter_.augmentation.errors():
+        turning = augmented.of(state).turning
+        if turning is not None:
+            turn[..., among] = _simpson(_at(nodes, partial(turning, truth)), h).sum(axis=0)
 
-    Unknowns are all attitudes, first to last, and then the constants; all arguments are in units
-    of SCALE.
-    """
-    n = len(seen)
-    constants, size, k = 3 * n, 3 * n + 13, np.arange(n - 1)
-    weight = (1.0 / walk)[:, None, None]
-    gyro = (_blocks(weight * np.eye(3), 3 * k, 3 * (k + 1), size)
-            - _blocks(weight * np.eye(3), 3 * k, 3 * k, size)
-            - _blocks(weight * B, 3 * k, np.full(n - 1, constants), size))
-    k = np.arange(n)
-    of_phi, mixed = seen[:, PHI, PHI], seen[:, PHI, CALIBRATED]
-    last = np.array([constants])
-    stars = (_blocks(of_phi, 3 * k, 3 * k, size)
-             + _blocks(mixed, 3 * k, np.full(n, constants), size)
-             + _blocks(np.swapaxes(mixed, -1, -2), np.full(n, constants), 3 * k, size)
-             + _blocks((seen[:, CALIBRATED, CALIBRATED].sum(axis=0) + prior)[None], last, last,
-                       size))
-    # Attitudes first: in this order the factor keeps the band of the matrix.
-    factor = splu((stars + gyro.T @ gyro).tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0,
-                  options={'SymmetricMode': True})
-    asked = np.r_[constants - 3:size]
-    unit = np.zeros((size, N_STATES))
-    unit[asked, np.arange(N_STATES)] = 1.0
-    return factor.solve(unit)[asked]
-
-
-def _perfect_gyro(seen: Array, B: Array, prior: Array) -> Array:
-    """Return the bound where one attitude and the bias give all others.
-
-    The weight of such a gyro has no end: ``phi_k = phi_last - (B_k + B_k+1 + ...) epsilon``.
-    """
-    T = np.tile(np.eye(N_STATES), (len(seen), 1, 1))
-    T[:-1, PHI, EPSILON] = -np.cumsum(B[::-1], axis=0)[::-1]
-    information = (np.swapaxes(T, -1, -2) @ seen @ T).sum(axis=0)
-    information[CALIBRATED, CALIBRATED] += prior
-    return np.linalg.inv(information)
+    T = np.diff(stamps_ns) * NS
+    q_bias = filter_.density[:3]
+    own = filter_.walk**2 * h[:, None, None] * (
+        K[1::2] @ np.swapaxes(K[1::2], -1, -2)).sum(axis=0)
+    columns = []
+    if q_bias.any():
+        # F in the middle of each piece; on the way through it F changes by the piece.
+        F = np.cumsum(pieces[::-1], axis=0)[::-1] - 0.5 * pieces
+        mean = F.mean(axis=0)
+        for part in (F - mean, pieces / np.sqrt(12.0)):
+            spread = part * q_bias
+            own += h[:, None, None] * (spread @ np.swapaxes(spread, -1, -2)).sum(axis=0)
+        bias = np.zeros((n, states, 3))
+        steps = np.sqrt(T)[:, None, None] * np.diag(q_bias)
+        bias[:, PHI], bias[:, EPSILON] = mean @ steps, steps
+        columns.append(bias)
+    if own.any():
+        columns.append(np.zeros((n, states, 3)))
+        columns[-1][:, PHI] = np.linalg.cholesky(own)
+    others = EPSILON.stop + np.flatnonzero(filter_.density[3:])
+    columns.append(np.zeros((n, states, len(others))))
+    columns[-1][:, others, range(len(others))] = (
+        np.sqrt(T)[:, None] * filter_.density[others - CALIBRATED.start])
+    return turn * scale / scale[PHI, None], np.concatenate(columns, axis=-1) / scale[:, None]
 
 
 def _slopes(r_s: Array, truth: Truth) -> tuple[Array, Array]:
@@ -177,23 +280,26 @@ def _slopes(r_s: Array, truth: Truth) -> tuple[Array, Array]:
     return H_s, H_lens
 
 
-def _blocks(blocks: Array, row: Ints, column: Ints, width: int
-            ) -> sparse.csc_array:
-    """Return a square matrix with (n, r, c) blocks at their rows and columns."""
-    rows = row[:, None, None] + np.arange(blocks.shape[1])[:, None]
-    columns = column[:, None, None] + np.arange(blocks.shape[2])
-    rows, columns = (np.broadcast_to(part, blocks.shape).ravel() for part in (rows, columns))
-    return sparse.csc_array((blocks.ravel(), (rows, columns)), (width, width))
-
-
 def turned(motion: Motion, stamps_ns: Ints) -> Array:
-    """Return the integrals of C_ig from each stamp to the next, (n - 1, 3, 3) [s]; Simpson."""
+    """Return the integrals of C_ig from each stamp to the next, (n - 1, 3, 3) [s]."""
+    nodes, h = _nodes(stamps_ns)
+    return _simpson(_at(nodes, motion.attitude), h).sum(axis=0)
+
+
+def _nodes(stamps_ns: Ints) -> tuple[Ints, Array]:
+    """Return stamps (2 J + 1, n - 1) in each interval, and the length of its J pieces [s]."""
     dt = np.diff(stamps_ns)
-    half = max(1, int(np.ceil(dt.max() * NS / _STEP_S / 2.0)))
-    part = np.arange(2 * half + 1) / (2 * half)
-    weight = np.full(2 * half + 1, 2.0)
-    weight[1::2], weight[[0, -1]] = 4.0, 1.0
-    total = np.zeros((len(dt), 3, 3))
-    for where, w in zip(part, weight / (6.0 * half)):
-        total += w * motion.attitude(stamps_ns[:-1] + np.rint(where * dt).astype(np.int64))
-    return total * (dt * NS)[:, None, None]
+    pieces = max(1, int(np.ceil(dt.max() * NS / _STEP_S / 2.0)))
+    part = np.arange(2 * pieces + 1)[:, None] / (2 * pieces)
+    return stamps_ns[:-1] + np.rint(part * dt).astype(np.int64), dt * NS / pieces
+
+
+def _at(nodes_ns: Ints, of: Callable[[Ints], Array]) -> Array:
+    """Return a function's values (2 J + 1, n - 1, 3, k) at the nodes."""
+    values = of(nodes_ns.ravel())
+    return values.reshape(*nodes_ns.shape, *values.shape[1:])
+
+
+def _simpson(values: Array, h: Array) -> Array:
+    """Return the integral over each of the J pieces, (J, n - 1, 3, k), by Simpson's rule."""
+    return (values[:-1:2] + 4.0 * values[1::2] + values[2::2]) * (h / 6.0)[:, None, None]

@@ -35,6 +35,16 @@ def mean_interval(degrees: float, count: int, probability: float) -> Interval:
     return Interval(float(low), float(high))
 
 
+def matched_interval(mean: float, variance: float, count: int, probability: float) -> Interval:
+    """Return the interval of the mean of `count` sums of squares of this mean and variance.
+
+    As if they were a chi-square times a number that has both.
+    """
+    degrees = 2.0 * mean**2 / variance
+    low, high = mean_interval(degrees, count, probability)
+    return Interval(low * mean / degrees, high * mean / degrees)
+
+
 def rms_interval(count: int, probability: float) -> Interval:
     """Return the interval of RMS over sigma of `count` independent normal errors."""
     low, high = np.sqrt(mean_interval(1.0, count, probability))

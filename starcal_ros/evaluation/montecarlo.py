@@ -25,8 +25,11 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, parameters
 from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import bounds, consistency
-from starcal_ros.evaluation.batch import Runs, run_batch
-from starcal_ros.filter.states import N_STATES, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.evaluation.batch import Runs, nominal, run_batch, state_error
+from starcal_ros.filter.augmentation import Augmentation
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.simulation.truth import Truth
 
 BATCH = 25              # runs in a batch: enough to share the work of a frame, and to keep often
 _PROBABILITY = 0.95
@@ -175,25 +178,49 @@ def _load(path: Path) -> Runs:
 
 
 def bound(scenario: Scenario) -> Array:
-    """Return the Cramér–Rao bound on T18's 16 states after the last frame, (16,) sigmas."""
-    return np.sqrt(np.diag(bounds.after(scenario, [scenario.simulation.duration_s])[0]))
+    """Return the Cramér–Rao bound on the 16 + m states after the last frame, (16 + m,) sigmas."""
+    return _bound(scenario).sigma
+
+
+def _bound(scenario: Scenario) -> bounds.Bound:
+    return bounds.at(scenario, [scenario.simulation.duration_s])[0]
+
+
+def nees_interval(scenario: Scenario, limit: bounds.Bound, runs: int) -> consistency.Interval:
+    """Return the interval of the mean NEES of a true filter in runs of a scenario.
+
+    All begin with the same errors, those of the nominal values. What the data shows of a state
+    does not depend on that; of what they do not show the first error stays, the same in all runs.
+    """
+    filter_, truth = Filter(scenario), Truth.from_scenario(scenario)
+    true = nominal(truth, truth.motion.start_ns, filter_.augmentation)
+    first = (state_error(filter_.start, true) / filter_.initial_sigma)[CALIBRATED.start:]
+    return consistency.matched_interval(*limit.nees_moments(first), runs, _PROBABILITY)
 
 
 def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:
     """Return what the runs of one scenario say, with the 95 % intervals of a true filter.
 
-    RMS, bound and sigma are in the units of STATE_UNITS.
+    RMS, bound and sigma are in the units of STATE_UNITS; values of optional states have theirs at
+    the end of their name. Where `prior` is near 1 the data shows nothing of a state: sigma and
+    bound are then the initial sigma, and the RMS what the nominal value is off by.
     """
     n = len(runs.seed)
-    limit = bound(scenario)
+    augmentation = Augmentation.of(scenario.estimator.augment)
+    names = (*STATE_NAMES, *augmentation.names)
+    units = (*STATE_UNITS, *(name.rpartition('_')[2] for name in augmentation.names))
+    unit = np.append(UNIT, augmentation.units)
+    best = _bound(scenario)
+    limit, prior = best.sigma, best.prior_part
     rms = np.sqrt(np.mean(runs.error[:, -1]**2, axis=0))
-    nees = consistency.mean_interval(N_STATES, n, _PROBABILITY)
+    nees = nees_interval(scenario, best, n)
     degrees = float(runs.nis_degrees.sum())
     nis = consistency.nis_interval(degrees, scenario.estimator.gate_probability, _PROBABILITY)
     ratio = consistency.rms_interval(n, _PROBABILITY)
     return {
         'runs': n,
         'duration_s': scenario.simulation.duration_s,
+        'nees_degrees': len(names),
         'nees_mean': float(runs.nees[:, -1].mean()), 'nees_interval_95': list(nees),
         'nis_mean': float(runs.nis.sum() / degrees),
         'nis_interval_95': list(nis),
@@ -201,10 +228,11 @@ def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:
         'attitude_rms_arcsec': (np.sqrt(np.mean(runs.attitude_rms**2, axis=0))
                                 / UNIT[0]).tolist(),
         'reprojection_rms_px': np.sqrt(np.mean(runs.reprojection_rms**2, axis=0)).tolist(),
-        'states': {name: {'unit': unit, 'rms': float(rms[k] / UNIT[k]),
-                          'bound': float(limit[k] / UNIT[k]), 'ratio': float(rms[k] / limit[k]),
-                          'sigma': float(runs.sigma[:, -1, k].mean() / UNIT[k])}
-                   for k, (name, unit) in enumerate(zip(STATE_NAMES, STATE_UNITS))},
+        'states': {name: {'unit': units[k], 'rms': float(rms[k] / unit[k]),
+                          'bound': float(limit[k] / unit[k]), 'ratio': float(rms[k] / limit[k]),
+                          'prior': float(prior[k]),
+                          'sigma': float(runs.sigma[:, -1, k].mean() / unit[k])}
+                   for k, name in enumerate(names)},
     }
 
 

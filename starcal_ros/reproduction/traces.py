@@ -40,7 +40,7 @@ from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.filter.verdict import equivalent_sigma
-from starcal_ros.simulation.truth import Truth
+from starcal_ros.simulation.motion import Motion
 
 RUNS = 10               # share the work of a frame: ten take three times as long as one
 SAMPLES = 720           # of a run: of two hours, one in 10 s
@@ -120,8 +120,9 @@ def bounds_of_second_half(scenario: Scenario) -> Array:
 
 
 def _traced(scenario: Scenario, runs: int, on_progress: Callable[[float], None]) -> Traces:
-    filter_, truth = Filter(scenario), Truth.from_scenario(scenario)
+    filter_ = Filter(scenario)
     seeds = range(scenario.simulation.seed, scenario.simulation.seed + runs)
+    truth, start_ns = batch.TrueRuns.of(scenario, seeds), Motion.from_scenario(scenario).start_ns
     count = batch.frame_count(scenario)
     every = max(1, count // SAMPLES)
     last_minutes = count - round(REPROJECTION_S * scenario.star_tracker.rate_hz)
@@ -129,8 +130,8 @@ def _traced(scenario: Scenario, runs: int, on_progress: Callable[[float], None])
     residuals: list[tuple[NDArray[Any], ...]] = []
     alone = first_error = np.eye(3)
     for step in batch.follow(scenario, seeds, on_progress):
-        belief, true = step.update.belief, batch.nominal(truth, step.stamp_ns)
-        estimate, time = belief.estimate, (step.stamp_ns - truth.motion.start_ns) * NS
+        belief, true = step.update.belief, truth.at(step.stamp_ns)
+        estimate, time = belief.estimate, (step.stamp_ns - start_ns) * NS
         if step.gyro is None:
             alone, first_error = estimate.C_gi, true.C_gi.T @ estimate.C_gi
         else:

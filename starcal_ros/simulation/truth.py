@@ -9,7 +9,7 @@ start; where the mounting drifts, its mean. `Truth` has both as functions of tim
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import INTRINSICS_KEYS, Detector
 from starcal_ros.core.units import DEG_PER_HOUR
-from starcal_ros.simulation.errors import switched_on
+from starcal_ros.simulation.errors import gyro_scale, switched_on
 from starcal_ros.simulation.motion import Motion
 
 VECTOR_LABEL = ('gyro_bias_rad_s[3] fixed_angles_rad[3] u0_px v0_px f_mm k1_mm-2 k2_mm-4 p1_mm-1 '
@@ -51,6 +51,10 @@ class Truth:
         after the other [rad].
     walks : sequence of callables
         Changes (n, 3) of the bias since the start, in g, at stamps (n,) [rad/s].
+    gyro_matrix : (3, 3) array
+        M of `gyro_scale`.
+    time_offset : float
+        Stamp of a frame minus the middle of its exposure [s].
     """
 
     motion: Motion
@@ -60,6 +64,8 @@ class Truth:
     bias: Array
     drifts: Sequence[OverTime] = ()
     walks: Sequence[OverTime] = ()
+    gyro_matrix: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    time_offset: float = 0.0
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Truth:
@@ -71,7 +77,13 @@ class Truth:
                    intrinsics(scenario.camera, truth.camera),
                    mounting_matrix(truth.mounting if given else scenario.mounting),
                    np.array(bias) * DEG_PER_HOUR, switched_on('mounting', scenario),
-                   switched_on('bias', scenario))
+                   switched_on('bias', scenario), gyro_scale.matrix(scenario),
+                   truth.star_tracker.time_offset_s)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the bias or the mounting changes with time."""
+        return bool(self.drifts or self.walks)
 
     def bias_at(self, stamps_ns: Ints) -> Array:
         """Return the gyro bias, (n, 3), in g at each stamp [rad/s]."""

@@ -91,6 +91,21 @@ def test_command_writes_a_summary(tmp_path, capsys):
     assert 'NEES' in capsys.readouterr().out
 
 
+def test_command_has_the_optional_states(tmp_path, capsys):
+    config, out = tmp_path / 'mine.yaml', tmp_path / 'mc.json'
+    config.write_text(parameter_file.dump(TAN2018.replace({
+        'estimator.augment.gyro_matrix_sigma_ppm': 500.0,
+        'estimator.augment.time_offset_sigma_s': 0.01})))
+    assert cli.main(['montecarlo', '--config', str(config), '--runs', '3', '--duration', '5',
+                     '--out', str(out)]) == 0
+    states = json.loads(out.read_text())['states']
+    assert states['M_zz_ppm']['unit'] == 'ppm' and states['tau_s']['bound'] <= 0.01
+    with np.load(tmp_path / 'mc.npz') as arrays:
+        assert arrays['error'].shape[2] == arrays['sigma'].shape[2] == 26
+    shown = capsys.readouterr().out
+    assert 'NEES' in shown and 'of 26 states' in shown and 'M_zz_ppm' in shown
+
+
 @pytest.mark.parametrize('sweep, culprit', [
     ('star_tracker.centroid_sigma=1.0', 'did you mean star_tracker.centroid_sigma_px'),
     ('star_tracker.centroid_sigma_px=', 'got no values'),

@@ -32,7 +32,7 @@ from starcal_ros.simulation.randomness import stream
 GROUP = 'gyro'
 ORDER = 20
 ON = {'bias walk': {'bias_random_walk_deg_h_sqrt_h': 0.01}}
-NOTE = 'bias walk: 0.01 deg/h/sqrt(h), errors from the first bias.'
+NOTE = 'bias walk: 0.01 deg/h/sqrt(h), errors from the bias at the end.'
 
 _STEP = 1.0                                     # s
 _DEG_PER_HOUR_PER_SQRT_HOUR = DEG_PER_HOUR / 60.0       # rad/s/sqrt(s)

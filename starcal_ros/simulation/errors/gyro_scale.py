@@ -54,9 +54,15 @@ class Config:
 
 def rate(scenario: Scenario) -> Callable[[Ints, Array], Array] | None:
     """Return the function that puts M on the rates, or None where M is zero."""
-    gyro = scenario.truth.of(Config)
-    M = np.diag(gyro.scale_factor_ppm) * _PPM
-    M[~np.eye(3, dtype=bool)] = np.array(gyro.misalignment_arcsec) * ARCSEC
+    M = matrix(scenario)
     if not M.any():
         return None
     return lambda _, omega: omega + (M @ omega[..., None])[..., 0]
+
+
+def matrix(scenario: Scenario) -> Array:
+    """Return M, (3, 3)."""
+    gyro = scenario.truth.of(Config)
+    M = np.diag(gyro.scale_factor_ppm) * _PPM
+    M[~np.eye(3, dtype=bool)] = np.array(gyro.misalignment_arcsec) * ARCSEC
+    return M

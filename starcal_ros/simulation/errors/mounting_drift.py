@@ -35,7 +35,7 @@ from starcal_ros.simulation.randomness import stream
 GROUP = 'mounting_drift'
 ORDER = 50
 ON = {'drift 1"': {'sigma_arcsec': 1.0}}
-NOTE = 'drift: Gauss-Markov of 1 h, errors from the mean mounting.'
+NOTE = 'drift: Gauss-Markov of 1 h, errors from the mounting at the end.'
 
 _STEPS = 100                # to a time constant
 _MARGIN_S = 20              # by which exposures and late stamps reach beyond the run
