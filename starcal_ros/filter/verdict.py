@@ -4,9 +4,8 @@
 
 Couplings
 ---------
-Two states can not be told apart while their errors are all but one. For the sake of this the
-attitude error is counted in s, ``C_si phi``: at rest a frame sees only its sum with Psi (E.1 of
-`error_state`), axis by axis, where phi in i is mixed with all three components of Psi.
+Which states can not be told apart `ambiguity` finds; those count of which one is outside its
+tolerance.
 
 In the middle of the field Psi_y shifts all stars as u0 does, and Psi_x as v0 (T18 Sec. 3.4). What
 matters for the attitude is their common effect, the equivalent principal point (T18 Fig. 9) ::
@@ -38,22 +37,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from starcal_ros.core import camera, kalman, rotation
-from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.statistic import Statistic
 from starcal_ros.core.units import DEG
+from starcal_ros.filter import ambiguity
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.states import CALIBRATED, N_STATES, PHI, STATE_NAMES, STATE_UNITS, UNIT
+from starcal_ros.filter.states import CALIBRATED, N_STATES, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
-
-NAMES = ('attitude_x', 'attitude_y', 'attitude_z', *STATE_NAMES[CALIBRATED])
-"""The states as `Verdict.correlation` counts them; the attitude in s."""
-COUPLED = 0.95
-"""Correlation above which two states can not be told apart."""
 
 _PSI_X, _PSI_Y, _U0, _V0, _F = (STATE_NAMES.index(name)
                                 for name in ('psi_x', 'psi_y', 'u0', 'v0', 'f'))
@@ -88,13 +82,18 @@ class Coupling(NamedTuple):
     Attributes
     ----------
     names : tuple of str
-        Out of NAMES.
+        Out of `Verdict.names`.
     axis : str
         Gyro axis, X, Y or Z, about which to rotate; empty where frames alone will do.
     """
 
     names: tuple[str, ...]
     axis: str
+
+    @property
+    def sentence(self) -> str:
+        """Which states, why, and what to do."""
+        return f'{", ".join(self.names)} ({ambiguity.reason(self.names)}): {advice(self.axis)}'
 
 
 @dataclass(frozen=True)
@@ -105,8 +104,10 @@ class Verdict:
     ----------
     states : tuple of State
         The 13 calibrated states.
-    correlation : (16, 16) array
-        Of the states NAMES.
+    names : tuple of str
+        All states, the attitude in s, those of `augmentation` behind the 16.
+    correlation : (16 + m, 16 + m) array
+        Of these.
     equivalent_sigma_px : (2,) array
         Standard deviation of the equivalent principal point, Eq. (V.1) [px].
     couplings : tuple of Coupling
@@ -120,6 +121,7 @@ class Verdict:
     """
 
     states: tuple[State, ...]
+    names: tuple[str, ...]
     correlation: Array
     equivalent_sigma_px: Array
     couplings: tuple[Coupling, ...]
@@ -204,26 +206,24 @@ def judge(filter_: Filter, belief: Belief, tracking: bool = True,
     statistics : tuple of Statistic
         Tests of the innovations.
     """
-    root = belief.state_root
-    correlation = _correlation(belief, root)
+    names, correlation = ambiguity.names(belief), ambiguity.correlation(belief)
     states = tuple(State(*row) for row in zip(
         STATE_NAMES[CALIBRATED], STATE_UNITS[CALIBRATED],
         (belief.sigma / UNIT)[CALIBRATED].tolist(),
         (filter_.tolerance / UNIT[CALIBRATED]).tolist()))
-    outside = np.zeros(N_STATES, bool)
-    outside[CALIBRATED] = [not state.within for state in states]
+    outside = {k for k, state in enumerate(states, CALIBRATED.start) if not state.within}
     couplings, axis = [], ''
-    if outside.any():
+    if outside:
         ahead = _look_ahead(filter_, belief)
-        groups = _groups(correlation, outside)
-        couplings = [Coupling(tuple(NAMES[k] for k in group), _axis(ahead, group))
+        groups = [group for group in ambiguity.groups(correlation) if outside & set(group)]
+        couplings = [Coupling(tuple(names[k] for k in group), _axis(ahead, group))
                      for group in groups]
         # First what a rotation must tell apart: the rest comes with time.
         stuck = [k for group, coupling in zip(groups, couplings) if coupling.axis for k in group]
-        axis = _axis(ahead, stuck or np.flatnonzero(outside).tolist())
-    return Verdict(states, correlation, equivalent_sigma(
-        root, belief.estimate.intrinsics, filter_.detector.pitch_mm), tuple(couplings), axis,
-        tracking, statistics)
+        axis = _axis(ahead, stuck or sorted(outside))
+    return Verdict(states, names, correlation, equivalent_sigma(
+        belief.state_root, belief.estimate.intrinsics, filter_.detector.pitch_mm),
+        tuple(couplings), axis, tracking, statistics)
 
 
 def equivalent_sigma(state_root: Array, intrinsics: Array, pitch_mm: float) -> Array:
@@ -256,21 +256,6 @@ def equivalent(states: Array, intrinsics: Array, pitch_mm: float) -> Array:
                      states[..., _V0, :] + scale * states[..., _PSI_X, :]), axis=-2)
 
 
-def _correlation(belief: Belief, root: Array) -> Array:
-    root = root.copy()
-    root[PHI] = belief.nominal.C_si @ root[PHI]
-    root /= np.linalg.norm(root, axis=-1, keepdims=True)
-    return root @ root.T
-
-
-def _groups(correlation: Array, outside: Mask) -> list[list[int]]:
-    """Return the states that hang together by pairs of which one is outside its tolerance."""
-    pairs = (np.abs(correlation) > COUPLED) & (outside | outside[:, None])
-    _, label = connected_components(pairs)
-    members = [np.flatnonzero(label == group).tolist() for group in np.unique(label)]
-    return [group for group in members if len(group) > 1]
-
-
 def _look_ahead(filter_: Filter, belief: Belief) -> Array:
     """Return the sigmas of the states, (4, 16), after a rest and after each rotation."""
     turn = np.zeros((4, 3))
@@ -300,6 +285,6 @@ def _look_ahead(filter_: Filter, belief: Belief) -> Array:
 
 def _axis(ahead: Array, states: list[int]) -> str:
     """Return the axis whose rotation leaves least of the sigmas of the calibrated states."""
-    counted = [k for k in states if k >= CALIBRATED.start]
+    counted = [k for k in states if CALIBRATED.start <= k < CALIBRATED.stop]
     left = np.exp(np.mean(np.log(ahead[1:, counted] / ahead[0, counted]), axis=-1))
     return 'XYZ'[int(left.argmin())] if left.min() < _WORTH else ''

@@ -49,8 +49,7 @@ class Diagnostics:
         judged = verdict.judge(calibrator.filter, belief, calibrator.tracking,
                                calibrator.consistency.statistics())
         values['not_told_apart'] = '; '.join(
-            f'{", ".join(coupling.names)}: {verdict.advice(coupling.axis)}'
-            for coupling in judged.couplings) or 'none'
+            coupling.sentence for coupling in judged.couplings) or 'none'
         numbers = {'correlation_u0_psi_y': judged.u0_psi_y,
                    'correlation_v0_psi_x': judged.v0_psi_x}
         for axis, sigma, rms in zip('uv', judged.equivalent_sigma_px,

@@ -15,8 +15,9 @@ from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.filter.ambiguity import NAMES, reason
 from starcal_ros.filter.offline import History
-from starcal_ros.filter.verdict import NAMES, Verdict, advice
+from starcal_ros.filter.verdict import Verdict, advice
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.report.states import LABELS, Row, rows, short, summary
@@ -74,9 +75,10 @@ def _verdict(calibration: Calibration) -> str:
         f'{verdict.v0_psi_x:+.4f}. The equivalent principal point, which is what the attitude '
         f'rests on, has sigmas of {u:.2g} and {v:.2g} px.']
     for coupling in verdict.couplings:
-        names = ', '.join(_LABEL[name] for name in coupling.names)
+        names = ', '.join(_LABEL.get(name, name) for name in coupling.names)
         axis = f'the gyro axis {coupling.axis}' if coupling.axis else ''
-        said.append(f'{names} can not be told apart yet: {advice(axis)}.')
+        said.append(f'{names} can not be told apart yet, {reason(coupling.names)}: '
+                    f'{advice(axis)}.')
     summary_ = verdict.summary
     for name in verdict.outside:
         summary_ = summary_.replace(name, _LABEL[name])
@@ -168,8 +170,9 @@ def _coupling(calibration: Calibration) -> str:
                   'Their common effect, the equivalent principal point, is known long before '
                   f'them: sigma {u:.2g}, {v:.2g} px, of u0 and v0 {sigma["u0_px"]:.2g}, '
                   f'{sigma["v0_px"]:.2g} px. The attitude is counted in star tracker axes.'),
-        charts([detector_charts.correlation(tuple(_LABEL[name] for name in NAMES),
-                                            verdict.correlation),
+        charts([detector_charts.correlation(
+                    tuple(_LABEL.get(name, name) for name in verdict.names),
+                    verdict.correlation),
                 *time_charts.equivalent_principal_point(
                      calibration.history, calibration.truth,
                      calibration.scenario.camera.pixel_pitch_mm)]))

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict: sigmas against tolerances, couplings, and the motion that is missing."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from instruments import PITCH_MM, TAN2018
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG
-from starcal_ros.filter import verdict
+from starcal_ros.filter import ambiguity, verdict
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
@@ -78,8 +79,7 @@ def test_lost_attitude_is_not_converged():
 @pytest.mark.parametrize('axis, advice', [('X', 'rotate about X'), ('', 'more frames are needed')])
 def test_summary_is_one_sentence_with_what_is_wide_and_what_to_do(axis, advice):
     judged = verdict.judge(FILTER, belief_with(sigma={'u0': 1.0, 'k1': 1e-3}))
-    judged = verdict.Verdict(judged.states, judged.correlation, judged.equivalent_sigma_px,
-                             judged.couplings, axis, True)
+    judged = replace(judged, axis=axis)
     assert judged.summary == f'not yet: u0, k1; {advice}'
 
 
@@ -118,10 +118,10 @@ def test_equivalent_principal_point_is_known_where_its_parts_are_not():
 
 def test_states_are_coupled_above_the_threshold_and_while_one_is_wide():
     wide = {'k1': 1e-3}
-    for rho, sigma, expected in ((verdict.COUPLED + 0.01, wide, [{'k1', 'k2'}]),
-                                 (-verdict.COUPLED - 0.01, wide, [{'k1', 'k2'}]),
-                                 (verdict.COUPLED - 0.01, wide, []),
-                                 (verdict.COUPLED + 0.01, {'p1': 1e-3}, [])):
+    for rho, sigma, expected in ((ambiguity.COUPLED + 0.01, wide, [{'k1', 'k2'}]),
+                                 (-ambiguity.COUPLED - 0.01, wide, [{'k1', 'k2'}]),
+                                 (ambiguity.COUPLED - 0.01, wide, []),
+                                 (ambiguity.COUPLED + 0.01, {'p1': 1e-3}, [])):
         judged = verdict.judge(FILTER, belief_with(sigma, {('k1', 'k2'): rho}))
         assert names(judged) == expected
 
