@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimates are worth, and the motion that would make them better.
+"""What the estimates are worth, and what would make them better.
 
 Couplings
 ---------
@@ -17,10 +17,8 @@ four are known: only the edges of the field tell them apart.
 
 Advice
 ------
-The filter's own covariance is carried through a rotation by 30 degrees about each of the gyro's
-axes and through a rest of the same length, each seen by a few frames of an even star field. The
-axis that lowers the sigmas most is recommended, if it does more than the rest: what more frames
-alone would settle needs no rotation. Which axis it is hardly depends on the noise that is assumed.
+What motion would help `advice` finds, how long it will take `progress`. Only states count that are
+outside their tolerance and can get inside, and those of `augmentation` that are coupled with them.
 
 The word
 --------
@@ -32,34 +30,29 @@ sigmas are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.statistic import Statistic
-from starcal_ros.core.units import DEG
 from starcal_ros.filter import ambiguity
-from starcal_ros.filter.belief import Belief, Nominal
+from starcal_ros.filter.advice import FRAMES, look_ahead
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.progress import Progress, unreachable
 from starcal_ros.filter.states import CALIBRATED, N_STATES, STATE_NAMES, STATE_UNITS, UNIT
-from starcal_ros.measurements.preintegration import Preintegrated
-from starcal_ros.measurements.samples import Stars
 
 _PSI_X, _PSI_Y, _U0, _V0, _F = (STATE_NAMES.index(name)
                                 for name in ('psi_x', 'psi_y', 'u0', 'v0', 'f'))
-_TURN = 30.0 * DEG      # the rotation that is tried, T18 Table 2
-_TURN_S = 60.0          # its length
-_LOOKS = 6              # times that the stars are looked at on the way
-_LOOK_PX = 0.02         # sigma of a centroid of a look: some six frames of 0.05 px
-_GRID = 5               # stars of a look, along each side of the detector
-_WORTH = 0.9            # what a rotation may leave, at most, of the sigmas that a rest leaves
-
 
 CONVERGED, NOT_YET, INCONSISTENT, LOST = 'converged', 'not yet', 'inconsistent', 'lost'
+NEVER = 'never'
+"""Advice on states that nothing tells apart."""
 
 
 class State(NamedTuple):
@@ -83,17 +76,22 @@ class Coupling(NamedTuple):
     ----------
     names : tuple of str
         Out of `Verdict.names`.
-    axis : str
-        Gyro axis, X, Y or Z, about which to rotate; empty where frames alone will do.
+    advice : str
+        What would tell them apart; NEVER where nothing would.
     """
 
     names: tuple[str, ...]
-    axis: str
+    advice: str
+
+    @property
+    def reason(self) -> str:
+        """What makes them alike."""
+        return ambiguity.reason(self.names)
 
     @property
     def sentence(self) -> str:
         """Which states, why, and what to do."""
-        return f'{", ".join(self.names)} ({ambiguity.reason(self.names)}): {advice(self.axis)}'
+        return f'{", ".join(self.names)} ({self.reason}): {self.advice}'
 
 
 @dataclass(frozen=True)
@@ -112,12 +110,17 @@ class Verdict:
         Standard deviation of the equivalent principal point, Eq. (V.1) [px].
     couplings : tuple of Coupling
         What can not be told apart yet.
-    axis : str
-        Gyro axis, X, Y or Z, about which to rotate next; empty where frames alone will do.
+    motion : str
+        What would help the states that are outside their tolerance; empty where nothing can.
     tracking : bool
         Whether the stars agree with the attitude.
     statistics : tuple of Statistic
         Tests of the innovations.
+    never : dict
+        The states that no time and no motion brings inside their tolerance, and why.
+    remaining_s : float
+        How long the others will take at the present rate of gain [s]; infinite for no end, NaN
+        where it is not known.
     """
 
     states: tuple[State, ...]
@@ -125,9 +128,11 @@ class Verdict:
     correlation: Array
     equivalent_sigma_px: Array
     couplings: tuple[Coupling, ...]
-    axis: str
+    motion: str
     tracking: bool
     statistics: tuple[Statistic, ...] = ()
+    never: Mapping[str, str] = field(default_factory=dict)
+    remaining_s: float = np.nan
 
     @property
     def outside(self) -> tuple[str, ...]:
@@ -155,6 +160,24 @@ class Verdict:
         return float(self.correlation[_V0, _PSI_X])
 
     @property
+    def advice(self) -> str:
+        """What to do; empty where nothing is to be done."""
+        said = self.word
+        if said == CONVERGED:
+            return ''
+        if said == LOST:
+            return 'see whether stamps, gaps or the mounting have lost the attitude'
+        if said == INCONSISTENT:
+            return 'do not believe the sigmas: find what contradicts the model'
+        more = time_text(self.remaining_s)
+        as_it_is = '' if self.motion == FRAMES else 'as it is '
+        parts = [self.motion, as_it_is + more if self.motion and more else '']
+        for reason in dict.fromkeys(self.never.values()):
+            names = [name for name, its in self.never.items() if its == reason]
+            parts.append(f'never within the tolerance: {", ".join(names)} ({reason})')
+        return '; '.join(filter(None, parts))
+
+    @property
     def summary(self) -> str:
         """One sentence."""
         if self.word == CONVERGED:
@@ -162,9 +185,28 @@ class Verdict:
         if self.word == LOST:
             return f'{LOST}: most stars are rejected'
         if self.word == INCONSISTENT:
-            failed = next(each for each in self.statistics if not each.passed)
-            return f'{INCONSISTENT}: {failed.sentence}'
-        return f'{NOT_YET}: {", ".join(self.outside)}; {advice(self.axis)}'
+            return f'{INCONSISTENT}: {failures(self.statistics)}'
+        return f'{NOT_YET}: {", ".join(self.outside)}; {self.advice}'
+
+
+def failures(statistics: Sequence[Statistic]) -> str:
+    """Say which tests fail: the first in full, the others by their names."""
+    first, *others = (each for each in statistics if not each.passed)
+    also = f'; also {", ".join(each.name for each in others)}' if others else ''
+    return first.sentence + also
+
+
+def time_text(remaining_s: float) -> str:
+    """Say how long it will take; nothing where that is not known."""
+    if np.isnan(remaining_s):
+        return ''
+    if np.isinf(remaining_s):
+        return 'never at the present rate of gain'
+    for unit, seconds in (('s', 1.0), ('min', 60.0), ('h', 3600.0)):
+        if remaining_s < 100.0 * seconds or unit == 'h':
+            break
+    value = remaining_s / seconds
+    return f'{value:.1f} {unit} more' if value < 10.0 else f'{value:.0f} {unit} more'
 
 
 def word(known: bool, tracking: bool, statistics: Sequence[Statistic]) -> str:
@@ -186,13 +228,15 @@ def word(known: bool, tracking: bool, statistics: Sequence[Statistic]) -> str:
     return CONVERGED if known else NOT_YET
 
 
-def advice(axis: str) -> str:
-    """Say what to do, for the axis of a `Verdict` or a `Coupling`."""
-    return f'rotate about {axis}' if axis else 'more frames are needed'
+def of(calibrator: Calibrator, progress: Progress | None = None) -> Verdict:
+    """Return the verdict on a calibrator that has an attitude."""
+    assert calibrator.belief is not None
+    return judge(calibrator.filter, calibrator.belief, calibrator.tracking,
+                 calibrator.consistency.statistics(), progress)
 
 
 def judge(filter_: Filter, belief: Belief, tracking: bool = True,
-          statistics: tuple[Statistic, ...] = ()) -> Verdict:
+          statistics: tuple[Statistic, ...] = (), progress: Progress | None = None) -> Verdict:
     """Return the verdict on a belief.
 
     Parameters
@@ -205,25 +249,43 @@ def judge(filter_: Filter, belief: Belief, tracking: bool = True,
         Whether the stars agree with the attitude.
     statistics : tuple of Statistic
         Tests of the innovations.
+    progress : Progress, optional
+        How the run went; without it nothing is said of the time that it will take.
     """
     names, correlation = ambiguity.names(belief), ambiguity.correlation(belief)
+    sigma = belief.sigma
     states = tuple(State(*row) for row in zip(
-        STATE_NAMES[CALIBRATED], STATE_UNITS[CALIBRATED],
-        (belief.sigma / UNIT)[CALIBRATED].tolist(),
+        STATE_NAMES[CALIBRATED], STATE_UNITS[CALIBRATED], (sigma / UNIT)[CALIBRATED].tolist(),
         (filter_.tolerance / UNIT[CALIBRATED]).tolist()))
     outside = {k for k, state in enumerate(states, CALIBRATED.start) if not state.within}
-    couplings, axis = [], ''
+    never = {name: reason for name, reason in unreachable(filter_).items()
+             if STATE_NAMES.index(name) in outside} if outside else {}
+    open_ = {k for k in outside if names[k] not in never}
+    couplings, motion, remaining_s = [], '', 0.0
     if outside:
-        ahead = _look_ahead(filter_, belief)
-        groups = [group for group in ambiguity.groups(correlation) if outside & set(group)]
-        couplings = [Coupling(tuple(names[k] for k in group), _axis(ahead, group))
-                     for group in groups]
-        # First what a rotation must tell apart: the rest comes with time.
-        stuck = [k for group, coupling in zip(groups, couplings) if coupling.axis for k in group]
-        axis = _axis(ahead, stuck or sorted(outside))
+        ahead = look_ahead(filter_, belief)
+        stuck: set[int] = set()
+        for group in ambiguity.groups(correlation):
+            if outside & set(group):
+                counted = _counted(group, names, never) if open_ & set(group) else []
+                said = ahead.best(counted) if counted else NEVER
+                couplings.append(Coupling(tuple(names[k] for k in group), said))
+                # First what a motion must tell apart: the rest comes with time.
+                stuck |= set(counted) if said not in (FRAMES, NEVER) else set()
+        motion = ahead.best(sorted(stuck or open_)) if open_ else ''
+        times = progress.remaining_s(filter_, sigma) if progress else None
+        remaining_s = np.nan if times is None or not open_ else float(
+            times[[k - CALIBRATED.start for k in open_]].max())
     return Verdict(states, names, correlation, equivalent_sigma(
         belief.state_root, belief.estimate.intrinsics, filter_.detector.pitch_mm),
-        tuple(couplings), axis, tracking, statistics)
+        tuple(couplings), motion, tracking, statistics, never, remaining_s)
+
+
+def _counted(group: list[int], names: tuple[str, ...], never: Mapping[str, str]) -> list[int]:
+    """Return what a motion is judged by of the states that hang together: all it can do good."""
+    fixed = ambiguity.antisymmetric(frozenset(names[k] for k in group))
+    return [k for k in group if k >= CALIBRATED.start and names[k] not in never
+            and not (fixed and k >= N_STATES)]
 
 
 def equivalent_sigma(state_root: Array, intrinsics: Array, pitch_mm: float) -> Array:
@@ -254,37 +316,3 @@ def equivalent(states: Array, intrinsics: Array, pitch_mm: float) -> Array:
     scale = (intrinsics[..., camera.INTRINSICS.index('f')] / pitch_mm)[..., None]
     return np.stack((states[..., _U0, :] - scale * states[..., _PSI_Y, :],
                      states[..., _V0, :] + scale * states[..., _PSI_X, :]), axis=-2)
-
-
-def _look_ahead(filter_: Filter, belief: Belief) -> Array:
-    """Return the sigmas of the states, (4, 16), after a rest and after each rotation."""
-    turn = np.zeros((4, 3))
-    turn[1:] = np.eye(3) * (_TURN / _LOOKS)
-    dt = np.full(4, _TURN_S / _LOOKS)
-    step = Preintegrated(rotation.exp(-turn), dt[:, None, None] * rotation.right_jacobian(-turn),
-                         dt, np.zeros(4))
-    half = 0.5 * np.array([filter_.detector.width, filter_.detector.height])
-    side = np.linspace(-1.0, 1.0, _GRID) * (1.0 - 1.0 / _GRID)
-    uv = half * np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    now = belief.estimate
-    r_s = camera.unproject(uv, now.intrinsics, filter_.detector.pitch_mm)
-    sigma = np.full((4, len(uv)), _LOOK_PX)
-    C_gi, bias, C_sg, intrinsics = (np.broadcast_to(part, (4, *part.shape)) for part in (
-        now.C_gi, now.bias, now.C_sg, now.intrinsics))
-    nominal = Nominal(C_gi, bias, C_sg, intrinsics)
-    ahead = Belief(nominal, np.zeros((4, N_STATES)),
-                   np.broadcast_to(kalman.marginal(belief.root, N_STATES),
-                                   (4, N_STATES, N_STATES)))
-    for _ in range(_LOOKS):
-        ahead = filter_.propagate(ahead, step)
-        u_i = r_s @ ahead.nominal.C_si
-        ahead = filter_.update(ahead, Stars(u_i, np.broadcast_to(uv, (4, *uv.shape)), sigma),
-                               gated=False).belief
-    return ahead.sigma
-
-
-def _axis(ahead: Array, states: list[int]) -> str:
-    """Return the axis whose rotation leaves least of the sigmas of the calibrated states."""
-    counted = [k for k in states if CALIBRATED.start <= k < CALIBRATED.stop]
-    left = np.exp(np.mean(np.log(ahead[1:, counted] / ahead[0, counted]), axis=-1))
-    return 'XYZ'[int(left.argmin())] if left.min() < _WORTH else ''

@@ -15,9 +15,9 @@ from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
-from starcal_ros.filter.ambiguity import NAMES, reason
+from starcal_ros.filter.ambiguity import NAMES
 from starcal_ros.filter.offline import History
-from starcal_ros.filter.verdict import Verdict, advice
+from starcal_ros.filter.verdict import Verdict
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.report.states import LABELS, Row, rows, short, summary
@@ -76,9 +76,7 @@ def _verdict(calibration: Calibration) -> str:
         f'rests on, has sigmas of {u:.2g} and {v:.2g} px.']
     for coupling in verdict.couplings:
         names = ', '.join(_LABEL.get(name, name) for name in coupling.names)
-        axis = f'the gyro axis {coupling.axis}' if coupling.axis else ''
-        said.append(f'{names} can not be told apart yet, {reason(coupling.names)}: '
-                    f'{advice(axis)}.')
+        said.append(f'{names} can not be told apart yet, {coupling.reason}: {coupling.advice}.')
     summary_ = verdict.summary
     for name in verdict.outside:
         summary_ = summary_.replace(name, _LABEL[name])

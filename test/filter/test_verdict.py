@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from instruments import PITCH_MM, TAN2018
-from starcal_ros.core import camera, rotation
-from starcal_ros.core.units import ARCSEC, DEG
-from starcal_ros.filter import ambiguity, verdict
+from starcal_ros.core import rotation
+from starcal_ros.core.statistic import Statistic
+from starcal_ros.core.units import ARCSEC
+from starcal_ros.filter import advice, ambiguity, verdict
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import (CALIBRATED, N_STATES, PHI, PSI, SCALE, STATE_NAMES,
                                        STATE_UNITS, THETA, UNIT)
-from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
-from starcal_ros.measurements.samples import GyroSamples, Stars
 from starcal_ros.results.result import word
 from starcal_ros.simulation import sensors
 
@@ -67,7 +66,7 @@ def test_states_are_the_13_calibrated_ones_in_their_units():
 def test_all_within_is_converged_however_coupled():
     judged = verdict.judge(FILTER, belief_with(correlation={('u0', 'psi_y'): 0.999}))
     assert judged.converged and judged.summary == 'converged'
-    assert judged.couplings == () and judged.axis == ''
+    assert judged.couplings == () and judged.motion == '' and judged.advice == ''
 
 
 def test_lost_attitude_is_not_converged():
@@ -76,11 +75,40 @@ def test_lost_attitude_is_not_converged():
     assert judged.summary == 'lost: most stars are rejected'
 
 
-@pytest.mark.parametrize('axis, advice', [('X', 'rotate about X'), ('', 'more frames are needed')])
-def test_summary_is_one_sentence_with_what_is_wide_and_what_to_do(axis, advice):
+@pytest.mark.parametrize('changes, advice', [
+    ({'motion': 'rotate about X'}, 'rotate about X'),
+    ({'motion': advice.FRAMES}, 'more frames are needed'),
+    ({'motion': advice.FRAMES, 'remaining_s': 8280.0}, 'more frames are needed; 2.3 h more'),
+    ({'motion': 'rotate about X', 'remaining_s': 8280.0},
+     'rotate about X; as it is 2.3 h more'),
+    ({'motion': 'rotate about X', 'remaining_s': np.inf},
+     'rotate about X; as it is never at the present rate of gain'),
+    ({'motion': '', 'remaining_s': 0.0, 'never': {'u0': 'a', 'k1': 'a'}},
+     'never within the tolerance: u0, k1 (a)'),
+    ({'motion': advice.FRAMES, 'remaining_s': 60.0, 'never': {'u0': 'a', 'k1': 'b'}},
+     'more frames are needed; 60 s more; never within the tolerance: u0 (a); '
+     'never within the tolerance: k1 (b)')], ids=range(7))
+def test_summary_is_one_sentence_with_what_is_wide_and_what_to_do(changes, advice):
     judged = verdict.judge(FILTER, belief_with(sigma={'u0': 1.0, 'k1': 1e-3}))
-    judged = replace(judged, axis=axis)
+    judged = replace(judged, **changes)
     assert judged.summary == f'not yet: u0, k1; {advice}'
+    assert judged.advice == advice
+
+
+@pytest.mark.parametrize('seconds, text', [
+    (0.4, '0.4 s more'), (99.0, '99 s more'), (150.0, '2.5 min more'), (3600.0, '60 min more'),
+    (8280.0, '2.3 h more'), (90_000.0, '25 h more'), (np.nan, '')])
+def test_time_is_told_in_the_unit_that_fits(seconds, text):
+    assert verdict.time_text(seconds) == text
+
+
+def test_all_that_fails_is_named_the_first_in_full():
+    failing = [Statistic(name, 9.0, -1.0, 1.0, 5) for name in ('a', 'b', 'c')]
+    judged = verdict.judge(FILTER, belief_with(), statistics=(
+        Statistic('fine', 0.0, -1.0, 1.0, 5), *failing))
+    assert judged.summary == 'inconsistent: a 9, allowed -1 to 1; also b, c'
+    assert verdict.failures(failing[:1]) == 'a 9, allowed -1 to 1'
+    assert judged.advice == 'do not believe the sigmas: find what contradicts the model'
 
 
 # Couplings
@@ -143,45 +171,6 @@ def test_attitude_is_counted_in_star_tracker_axes():
     assert names(judged) == [{f'attitude_{axis}', f'psi_{axis}'} for axis in 'xyz']
 
 
-# The advice
-
-
-def test_look_ahead_is_the_filter_after_a_rest_and_after_a_rotation_about_each_axis():
-    """Of gyro readings at 0.5 deg/s for 60 s; every 10 s a frame of 5 x 5 stars to 0.02 px."""
-    begun, expected = belief_with({'psi_x': 300.0, 'psi_z': 500.0, 'epsilon_y': 2.0}), []
-    stamps = np.arange(1, 1001) * 10**7
-    places = (np.arange(5) + 0.5) / 5.0 * 1024.0 - 512.0     # the middles of fifths of a side
-    uv = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
-    for axis in (np.zeros(3), *np.eye(3)):
-        rate = np.tile(0.5 * DEG * axis + FILTER.start.bias, (1000, 1))
-        turn = preintegrate(GyroSamples(stamps, rate), np.array([0, 10**10]), FILTER.start.bias,
-                            1e7)
-        belief = begun
-        for _ in range(6):
-            belief = FILTER.propagate(belief, Preintegrated(*(part[0] for part in turn)))
-            nominal = belief.nominal
-            u_i = camera.unproject(uv, nominal.intrinsics, PITCH_MM) @ nominal.C_si
-            belief = FILTER.update(belief, Stars(u_i, uv, np.full(25, 0.02)), gated=False).belief
-        expected.append(belief.sigma)
-    np.testing.assert_allclose(verdict._look_ahead(FILTER, begun), expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize('psi_x, psi_y, axis', [
-    ((0.5, 0.6, 0.7), (0.5, 0.6, 0.7), 'X'),
-    ((0.7, 0.8, 0.6), (0.7, 0.8, 0.6), 'Z'),
-    ((0.2, 0.6, 0.9), (1.2, 0.6, 0.9), 'X'),       # 0.49 on geometric average, 0.6, 0.9
-    ((0.95, 0.89, 0.99), (0.95, 0.89, 0.99), 'Y'),
-    ((0.95, 0.91, 0.99), (0.95, 0.91, 0.99), '')], ids=range(5))
-def test_axis_is_the_one_that_leaves_least_of_what_a_rest_leaves_if_it_is_less_than_0_9(
-        psi_x, psi_y, axis):
-    """Of the calibrated states asked for: that the attitude gains does not count."""
-    ahead = 3.0 * np.ones((4, N_STATES))
-    ahead[1:, INDEX['psi_x']] *= psi_x
-    ahead[1:, INDEX['psi_y']] *= psi_y
-    ahead[3, INDEX['phi_x']] = ahead[3, INDEX['f']] = 1e-3
-    assert verdict._axis(ahead, [INDEX[name] for name in ('phi_x', 'psi_x', 'psi_y')]) == axis
-
-
 # The real filter on the real scenario
 
 
@@ -212,10 +201,10 @@ def test_at_rest_the_mounting_can_not_be_told_from_the_attitude(run):
 
 def test_at_rest_the_axis_named_is_across_the_angle_it_shall_separate(run):
     """A rotation leaves Psi along its own axis as it was; y of s is about y of g (30 deg, T18)."""
-    axis = {coupling.names: coupling.axis for coupling in run[0][AT_REST].couplings}
-    assert axis['attitude_x', 'psi_x'] == 'Y'
-    assert axis['attitude_z', 'psi_z'] == 'Y'
-    assert axis['attitude_y', 'psi_y'] in ('X', 'Z')
+    said = {coupling.names: coupling.advice for coupling in run[0][AT_REST].couplings}
+    assert said['attitude_x', 'psi_x'] == 'rotate about Y'
+    assert said['attitude_z', 'psi_z'] == 'rotate about Y'
+    assert said['attitude_y', 'psi_y'] in ('rotate about X', 'rotate about Z')
 
 
 def test_what_one_rotation_leaves_is_named_with_another_axis(run):
@@ -223,7 +212,7 @@ def test_what_one_rotation_leaves_is_named_with_another_axis(run):
     judged = run[0][120.0]
     group, = [coupling for coupling in judged.couplings if 'psi_x' in coupling.names]
     assert set(group.names) == {'attitude_x', 'attitude_z', 'psi_x', 'psi_z'}
-    assert group.axis in ('Y', 'Z') and judged.axis == group.axis
+    assert group.advice[-1] in 'YZ' and judged.motion == group.advice
 
 
 def test_after_all_axes_only_frames_are_needed(run):
@@ -272,13 +261,14 @@ def test_axis_recommended_is_the_one_that_lowers_the_sigmas_most(run, ahead):
     judged = run[0][AT_REST]
     for coupling in judged.couplings:
         what = left(ahead, coupling.names)
-        if coupling.axis:
-            assert what[coupling.axis] < 1.1 * min(what.values())
-            assert what[coupling.axis] < 0.1
+        if coupling.advice != advice.FRAMES:
+            axis = coupling.advice.removeprefix('rotate about ')
+            assert what[axis] < 1.1 * min(what.values())
+            assert what[axis] < 0.1
         else:
             assert min(what.values()) > 0.8
     what = left(ahead, ('psi_x', 'psi_y', 'psi_z'))
-    assert judged.axis == min(what, key=what.get)
+    assert judged.motion == f'rotate about {min(what, key=what.get)}'
 
 
 def test_diagnostics_say_what_the_verdict_says(run):
