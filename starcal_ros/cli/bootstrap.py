@@ -38,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     if out is not None:
         arguments.require_writable(out)
     from starcal_ros import report
+    from starcal_ros.filter import verdict
     from starcal_ros.recording import reader
     from starcal_ros.results import result
     try:
@@ -52,7 +53,8 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(str(error)) from None
     for text in (*recording.warnings, *chain.notices):
         say(f'warning: {text}')
-    outcome = result.result(chain.calibrator, result.provenance(scenario, recording))
+    outcome = result.result(chain.calibrator, result.provenance(scenario, recording),
+                            chain.progress)
     outcome['steps'] = [{'step': step.name, **result.camera(step.camera)}
                         for step in chain.steps]
     attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
@@ -60,6 +62,9 @@ def run(options: argparse.Namespace) -> int:
     show(report.chain(outcome['steps'], truth, f'Bootstrap of {options.bag}'))
     stars = chain.frames.catalog_id
     show(f'{(stars > 0).sum()} of {len(stars)} spots identified. {report.summary(outcome)}')
+    if outcome['verdict'] == verdict.INCONSISTENT:
+        show(report.table(report.rows(outcome, truth), 'The 16 states'))
+    show(f'Verdict: {verdict.of(chain.calibrator, chain.progress).summary}')
     if out is not None:
         result.write_json(out, outcome)
     return STATUS[outcome['verdict']]

@@ -54,6 +54,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     from starcal_ros import report
     from starcal_ros.filter import verdict
     from starcal_ros.filter.offline import calibrate
+    from starcal_ros.filter.progress import Progress
     from starcal_ros.recording import reader
     from starcal_ros.results import export, initial, result
     from starcal_ros.results.store import CalibrationStore
@@ -77,8 +78,10 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     notices = [*recording.warnings, *start.notices, *calibrator.take_notices()]
     for text in notices:
         say(f'warning: {text}')
+    gained = Progress(zip(history.stamp_ns.tolist(), history.sigma))
     outcome = result.result(calibrator, {**result.provenance(scenario, recording),
-                                         'began_with': start.source or 'nominal values'})
+                                         'began_with': start.source or 'nominal values'},
+                            gained)
     result.write_json(out, outcome)
     if folder is not None:
         for name, content in export.files(outcome, scenario).items():
@@ -87,9 +90,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     truth = json.loads(attached) if attached else None
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     show(report.summary(outcome))
-    assert calibrator.belief is not None        # or result.result has told
-    judged = verdict.judge(calibrator.filter, calibrator.belief, calibrator.tracking,
-                           calibrator.consistency.statistics())
+    judged = verdict.of(calibrator, gained)
     show(f'Verdict: {judged.summary}')
     if figure is not None:
         report.figure(history, truth, figure)

@@ -13,6 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 from starcal_ros import __version__
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.progress import Progress
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
@@ -94,19 +95,21 @@ class Estimator(ManagedNode):
         for frame in calibrator.process(tracked=True):
             self._results.publish_track(calibrator, frame.track)
             self._results.publish_frame(calibrator, frame)
+            self._progress.add(frame.stamp_ns, frame.belief.sigma)
         self._results.publish_track(calibrator, calibrator.track())
         for text in calibrator.take_notices():
             self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
-        self._results.publish_diagnostics(self._diagnostics.message(self._calibrator,
-                                                                    self._enabled))
+        self._results.publish_diagnostics(self._diagnostics.message(
+            self._calibrator, self._enabled, self._progress))
 
     # Services and parameters
 
     def _begin(self) -> None:
         self._start = initial.initial_values(self.scenario, self._archive)
         self._calibrator = Calibrator(self._start.scenario, self._start.covariance)
+        self._progress = Progress()
         for text in self._start.notices:
             self.get_logger().warning(text)
 
@@ -115,7 +118,7 @@ class Estimator(ManagedNode):
             outcome = result.result(self._calibrator, {
                 'version': __version__, 'config_sha256': self.scenario.sha256,
                 'saved_utc': datetime.now(timezone.utc).isoformat(timespec='seconds'),
-                'began_with': self._start.source or 'nominal values'})
+                'began_with': self._start.source or 'nominal values'}, self._progress)
             folder = self._archive.save(initial.files(outcome, self.scenario))
         except (result.CalibrationError, StoreError) as error:
             response.success, response.message = False, str(error)

@@ -13,6 +13,7 @@ from rclpy.node import Node
 
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.nodes.base.matched_subscription import MatchedSubscription
 
@@ -30,14 +31,16 @@ class Diagnostics:
         self._heard_s: dict[str, float] = {}        # by topic, as the next
         self._received: dict[str, int] = {}
 
-    def message(self, calibrator: Calibrator, enabled: bool) -> DiagnosticArray:
+    def message(self, calibrator: Calibrator, enabled: bool, progress: Progress | None = None
+                ) -> DiagnosticArray:
         """Return health, counts and the verdict on the calibration, and what is received."""
-        message = DiagnosticArray(status=[self._calibration(calibrator, enabled),
+        message = DiagnosticArray(status=[self._calibration(calibrator, enabled, progress),
                                           self._of_inputs()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         return message
 
-    def _calibration(self, calibrator: Calibrator, enabled: bool) -> DiagnosticStatus:
+    def _calibration(self, calibrator: Calibrator, enabled: bool, progress: Progress | None
+                     ) -> DiagnosticStatus:
         belief = calibrator.belief
         counts = dataclasses.asdict(calibrator.counts)
         values = {name: str(value) for name, value in counts.items()}
@@ -46,12 +49,12 @@ class Diagnostics:
             return self._status('calibration', DiagnosticStatus.WARN, 'disabled', values)
         if belief is None:
             return self._status('calibration', DiagnosticStatus.WARN, 'no attitude yet', values)
-        judged = verdict.judge(calibrator.filter, belief, calibrator.tracking,
-                               calibrator.consistency.statistics())
+        judged = verdict.of(calibrator, progress)
+        values['advice'] = judged.advice or 'none'
         values['not_told_apart'] = '; '.join(
             coupling.sentence for coupling in judged.couplings) or 'none'
         numbers = {'correlation_u0_psi_y': judged.u0_psi_y,
-                   'correlation_v0_psi_x': judged.v0_psi_x}
+                   'correlation_v0_psi_x': judged.v0_psi_x, 'time_to_go_s': judged.remaining_s}
         for axis, sigma, rms in zip('uv', judged.equivalent_sigma_px,
                                     calibrator.reprojection_rms_px):
             numbers[f'sigma_equivalent_principal_point_{axis}_px'] = sigma

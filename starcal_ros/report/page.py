@@ -17,10 +17,10 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.filter.ambiguity import NAMES
 from starcal_ros.filter.offline import History
-from starcal_ros.filter.verdict import Verdict
+from starcal_ros.filter.verdict import INCONSISTENT, Verdict
 from starcal_ros.report import detector_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
-from starcal_ros.report.states import LABELS, Row, rows, short, summary
+from starcal_ros.report.states import DOUBT, LABELS, SCALED, Row, rows, short, summary
 
 _LABEL = {name: name.replace('_', ' ') for name in NAMES[:3]} | dict(zip(NAMES[3:], LABELS))
 
@@ -76,7 +76,7 @@ def _verdict(calibration: Calibration) -> str:
         f'rests on, has sigmas of {u:.2g} and {v:.2g} px.']
     for coupling in verdict.couplings:
         names = ', '.join(_LABEL.get(name, name) for name in coupling.names)
-        said.append(f'{names} can not be told apart yet, {coupling.reason}: {coupling.advice}.')
+        said.append(f'{names} can not be told apart yet: {coupling.reason}; {coupling.advice}.')
     summary_ = verdict.summary
     for name in verdict.outside:
         summary_ = summary_.replace(name, _LABEL[name])
@@ -88,19 +88,21 @@ def _verdict(calibration: Calibration) -> str:
 
 
 def _states(calibration: Calibration) -> str:
-    known = calibration.truth is not None
+    known, doubted = calibration.truth is not None, calibration.verdict.word == INCONSISTENT
     head = ['state', 'unit', *(['truth'] if known else []), 'estimate',
-            *(['error'] if known else []), 'sigma', 'tolerance', 'within',
+            *(['error'] if known else []), 'sigma', *([SCALED] if doubted else []),
+            'tolerance', 'within',
             *(['error/sigma'] if known else [])]
 
     def cells(row: Row, tolerance: float, within: bool) -> list[str]:
         return [row.label, row.unit, *([row.places(row.truth)] if known else []),
                 row.places(row.estimate), *([short(row.error)] if known else []),
-                short(row.sigma), short(tolerance), 'yes' if within else 'no',
+                short(row.sigma), *([short(row.scaled)] if doubted else []),
+                short(tolerance), 'yes' if within else 'no',
                 *([f'{row.error / row.sigma:+.2f}'] if known else [])]
 
     return section(
-        'states', 'States',
+        'states', 'States', *([paragraph(DOUBT)] if doubted else []),
         table(head, [cells(row, state.tolerance, state.within) for row, state in zip(
             rows(calibration.outcome, calibration.truth), calibration.verdict.states)]),
         paragraph('Fixed angles are in degrees, their sigma, error and tolerance in arc seconds. '

@@ -16,6 +16,7 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
+from starcal_ros.filter.verdict import INCONSISTENT
 
 LABELS = ('ε_x', 'ε_y', 'ε_z', 'Ψ_x', 'Ψ_y', 'Ψ_z', 'u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
 _ANGLE = '°, ″'         # the value in degrees, its error and sigma in arcsec
@@ -26,9 +27,17 @@ T18_ERROR = (0.0007, 0.0002, 0.0003, 1.8, 3.3, 0.8, 0.0546, 0.0334, 2e-5, 4e-7, 
              5.8e-8)
 """Errors of T18's own simulation of two hours (Table 3), in SIGMA_UNITS."""
 
+SCALED = 'scaled sigma'
+DOUBT = ('The data contradict the model: the sigmas are not to be believed. Scaled, they have the '
+         'scatter that was found in place of the one that was stated; a bias they do not show.')
+"""What is said beside scaled sigmas."""
+
 
 class Row(NamedTuple):
-    """One calibrated state, in its unit; what is not known is NaN."""
+    """One calibrated state, in its unit; what is not known is NaN.
+
+    `scaled` is the sigma that the residuals have instead where the data contradict the model.
+    """
 
     label: str
     unit: str
@@ -36,6 +45,7 @@ class Row(NamedTuple):
     estimate: float
     error: float
     sigma: float
+    scaled: float = np.nan
 
     def places(self, value: float) -> str:
         """Return truth or estimate to a tenth of sigma."""
@@ -59,7 +69,19 @@ def rows(result: dict[str, Any], truth: dict[str, Any] | None) -> list[Row]:
         error[3:6] = rotation.log(C_est @ C_true.T) / ARCSEC
     sigma = np.sqrt(np.diag(np.array(result['covariance'])))[CALIBRATED] / UNIT[CALIBRATED]
     return [Row(*row) for row in zip(LABELS, UNITS, true.tolist(), estimate.tolist(),
-                                     error.tolist(), sigma.tolist())]
+                                     error.tolist(), sigma.tolist(),
+                                     (sigma * _scale(result)).tolist())]
+
+
+def _scale(result: dict[str, Any]) -> Array:
+    """Return by how much to scale each sigma, (13,); NaN where they are to be believed.
+
+    Bias and fixed angles go by the variance of the turns, the camera by that of the centroids.
+    """
+    if result['verdict'] != INCONSISTENT:
+        return np.full(13, np.nan)
+    factor = result['variance_factor']
+    return np.sqrt(np.maximum(1.0, np.repeat([factor['turns'], factor['centroids']], (6, 7))))
 
 
 def _values(side: dict[str, Any]) -> Array:
@@ -68,11 +90,16 @@ def _values(side: dict[str, Any]) -> Array:
 
 
 def table(states: Sequence[Row], title: str) -> Table:
-    """Return the states as a table: truth, estimate, error, sigma, T18's error."""
+    """Return the states as a table: truth, estimate, error, sigma, T18's error.
+
+    Where the data contradict the model it says that the sigmas are not to be believed, and has
+    them scaled beside.
+    """
     known = any(np.isfinite(row.truth) for row in states)
-    out = Table(title=title)
+    doubted = any(np.isfinite(row.scaled) for row in states)
+    out = Table(title=title, caption=DOUBT if doubted else None)
     columns = ['state', 'unit', *(['truth'] if known else []), 'estimate',
-               *(['error'] if known else []), 'sigma',
+               *(['error'] if known else []), 'sigma', *([SCALED] if doubted else []),
                *(['error/sigma', 'T18 error (2 h)'] if known else [])]
     for column in columns:
         out.add_column(column, justify='left' if column in ('state', 'unit') else 'right',
@@ -83,6 +110,7 @@ def table(states: Sequence[Row], title: str) -> Table:
         cells += [row.places(row.estimate)]
         cells += [short(row.error)] if known else []
         cells += [short(row.sigma)]
+        cells += [short(row.scaled)] if doubted else []
         cells += [f'{row.error / row.sigma:+.2f}', f'{paper:.2g}'] if known else []
         out.add_row(*cells)
     return out

@@ -94,6 +94,9 @@ def render(seen: Seen) -> RenderableType:
               if key in _COUNTS]
     if counts:
         parts.append(Text(', '.join(counts), style='dim'))
+    advice = seen.values.get('advice', 'none')
+    if advice != 'none' and advice not in seen.message:
+        parts.append(Text(f'advice: {advice}', style='yellow'))
     if seen.values.get('not_told_apart', 'none') != 'none':
         parts.append(Text(f'not told apart: {seen.values["not_told_apart"]}', style='yellow'))
     return Group(*parts)

@@ -19,6 +19,7 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
 from starcal_ros.recording.reader import Recording
 
@@ -35,7 +36,8 @@ def word(calibrator: Calibrator) -> str:
     return verdict.word(known, calibrator.tracking, calibrator.consistency.statistics())
 
 
-def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]:
+def result(calibrator: Calibrator, provenance: dict[str, str],
+           progress: Progress | None = None) -> dict[str, Any]:
     """Return RESULT.json as a dictionary.
 
     Parameters
@@ -44,6 +46,8 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
         After its last frame.
     provenance : dict
         Version, configuration hash, bag hash.
+    progress : Progress, optional
+        How the run went; without it ``advice`` says nothing of the time that it will take.
 
     Returns
     -------
@@ -52,9 +56,12 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
         px, mm, mm^-2, mm^-4, mm^-1, mm^-1. ``attitude_final`` is the integrated attitude at the
         last gyro sample. ``consistency`` has each test of the innovations with its band, and
         ``variance_factor`` how much larger than stated the variances are of what a turn of the
-        camera explains, and of the rest; ``changes`` has the steps and drifts that were
-        answered. ``augmented`` is there where states of `augmentation` are
-        on: their names, each with its unit, estimates and sigmas.
+        camera explains, and of the rest; ``changes`` has the steps and drifts that were answered.
+        ``tolerance`` has the largest sigmas that are wanted, with the names and units of the
+        sigmas; ``advice`` is a text, empty where nothing is to be done; ``not_told_apart`` has for
+        each group of such states their names, the reason and what would help. ``augmented`` is
+        there where states of `augmentation` are on: their names, each with its unit, estimates and
+        sigmas.
 
     Raises
     ------
@@ -66,7 +73,8 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
         raise CalibrationError(no_attitude(calibrator))
     estimate, sigma = belief.estimate, belief.sigma / UNIT
     stamp_ns, C_gi = calibrator.attitude_now()
-    counts, said = calibrator.counts, word(calibrator)
+    counts, judged = calibrator.counts, verdict.of(calibrator, progress)
+    tolerance = np.array([state.tolerance for state in judged.states])
     turns, centroids = calibrator.consistency.variance_factors()
     values = {
         'intrinsics': _named(estimate.intrinsics),
@@ -84,14 +92,21 @@ def result(calibrator: Calibrator, provenance: dict[str, str]) -> dict[str, Any]
             'stamp_ns': stamp_ns,
             'quaternion_xyzw': rotation.to_quaternion(C_gi.T).tolist(),
         },
-        'verdict': said,
-        'converged': said == verdict.CONVERGED,
-        'consistency': [{**each._asdict(), 'passed': each.passed}
-                        for each in calibrator.consistency.statistics()],
+        'verdict': judged.word,
+        'converged': judged.converged,
+        'consistency': [{**each._asdict(), 'passed': each.passed} for each in judged.statistics],
         'variance_factor': {'turns': turns, 'centroids': centroids},
         'changes': [{**change._asdict(), 'sigma': [
             sigma if np.isfinite(sigma) else None for sigma in change.sigma],
             'sentence': change.sentence} for change in calibrator.consistency.changes],
+        'tolerance': {
+            'intrinsics_sigma': _named(tolerance[6:]),
+            'gyro_bias_sigma_deg_h': tolerance[:3].tolist(),
+            'mounting': {'sigma_arcsec': tolerance[3:6].tolist()},
+        },
+        'advice': judged.advice,
+        'not_told_apart': [{'states': list(each.names), 'reason': each.reason,
+                            'advice': each.advice} for each in judged.couplings],
         'counts': dataclasses.asdict(counts),
         'provenance': provenance,
     }

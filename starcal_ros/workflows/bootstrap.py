@@ -33,6 +33,7 @@ from starcal_ros.config.models import detector, nominal_camera, observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import LENS
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identifier
@@ -77,12 +78,15 @@ class Chain:
         The filter after the last frame.
     notices : tuple of str
         What a user should know.
+    progress : Progress
+        How the filter went.
     """
 
     steps: tuple[Step, ...]
     frames: Frames
     calibrator: Calibrator
     notices: tuple[str, ...]
+    progress: Progress
 
 
 def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
@@ -155,8 +159,7 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     calibrator = predicted_centroid.begin(scenario, camera)
     calibrator.add_gyro(gyro)
     calibrator.add_frames(numbered[len(second):])
-    for _ in calibrator.process():
-        pass
+    progress = Progress((frame.stamp_ns, frame.belief.sigma) for frame in calibrator.process())
     belief = calibrator.belief
     if belief is None:
         raise CalibrationError(no_attitude(calibrator))
@@ -165,7 +168,7 @@ def bootstrap(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         calibrator.counts.stars)))
     notices += [f'16 states: {text}' for text in calibrator.take_notices()]
     on_progress(1.0)
-    return Chain(tuple(steps), numbered, calibrator, tuple(notices))
+    return Chain(tuple(steps), numbered, calibrator, tuple(notices), progress)
 
 
 def _agree(camera: CameraEstimate, better: CameraEstimate) -> bool:

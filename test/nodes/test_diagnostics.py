@@ -14,6 +14,7 @@ from rclpy.clock import Clock  # noqa: E402
 from instruments import TAN2018  # noqa: E402
 from starcal_ros.filter import verdict  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
+from starcal_ros.filter.progress import Progress  # noqa: E402
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT  # noqa: E402
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics  # noqa: E402
 from starcal_ros.report.watch import tolerances  # noqa: E402
@@ -41,7 +42,7 @@ def numbers(values, *names):
 
 
 def test_every_value_but_units_and_advice_is_a_number(values):
-    texts = {'not_told_apart', 'verdict', *(f'unit_{name}' for name in STATE_NAMES)}
+    texts = {'not_told_apart', 'verdict', 'advice', *(f'unit_{name}' for name in STATE_NAMES)}
     assert texts < values.keys()
     for name in values.keys() - texts:
         float(values[name])
@@ -54,6 +55,21 @@ def test_sigmas_units_and_tolerances_are_those_of_the_states(values, calibrator)
     expected = np.full(len(STATE_NAMES), np.nan)
     expected[CALIBRATED] = calibrator.filter.tolerance / UNIT[CALIBRATED]
     np.testing.assert_allclose(tolerances(values), expected, rtol=1e-5)
+
+
+def test_advice_and_time_to_go_are_those_of_the_verdict(values, calibrator):
+    judged = verdict.of(calibrator)
+    assert values['advice'] == judged.advice and values['advice'].startswith('rotate about ')
+    assert values['time_to_go_s'] == 'nan'          # 20 s do not tell
+    assert values['not_told_apart'] == '; '.join(each.sentence for each in judged.couplings)
+    node = SimpleNamespace(get_namespace=lambda: '/', get_clock=Clock)
+    sigma = calibrator.belief.sigma
+    seen = Progress([(0, 1.5 * sigma), (90 * 10**9, 1.2 * sigma), (180 * 10**9, sigma)])
+    status = Diagnostics(node, []).message(calibrator, True, seen).status[0]
+    told = {item.key: item.value for item in status.values}
+    assert float(told['time_to_go_s']) == pytest.approx(
+        seen.remaining_s(calibrator.filter, sigma).max(), rel=1e-5)
+    assert told['advice'] in status.message and '; as it is ' in told['advice']
 
 
 def test_principal_point_and_residuals_have_a_number_for_each_axis(values, calibrator):

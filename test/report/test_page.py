@@ -24,6 +24,8 @@ from starcal_ros.filter.offline import Residuals, calibrate
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.recording import reader
 from starcal_ros.report import detector_charts, time_charts
+from starcal_ros.report.page import Calibration, html
+from starcal_ros.results import result
 from starcal_ros.simulation import sensors
 
 SHORT = TAN2018.replace({'simulation.duration_s': 150.0})
@@ -153,6 +155,40 @@ def test_states_are_those_of_the_result(page, outcome, made):
         assert float(row['error/sigma']) == pytest.approx(state.error / state.sigma, abs=0.006)
 
 
+def test_sigmas_are_scaled_and_doubted_where_the_data_contradict_the_model(outcome):
+    """By the root of the variance factor: of the turns, of the centroids, never less than 1."""
+    sigma = [row.sigma for row in report.rows(outcome, None)]
+    assert np.isnan([row.scaled for row in report.rows(outcome, None)]).all()
+    assert report.table(report.rows(outcome, None), '').caption is None
+    for turns, centroids in ((9.0, 4.0), (0.5, 4.0), (2.25, 0.3)):
+        states = report.rows({**outcome, 'verdict': 'inconsistent', 'variance_factor': {
+            'turns': turns, 'centroids': centroids}}, None)
+        np.testing.assert_allclose([row.scaled for row in states], sigma * np.sqrt(np.maximum(
+            np.repeat([turns, centroids], (6, 7)), 1.0)))
+        shown = report.table(states, '')
+        heads = [column.header for column in shown.columns]
+        assert heads[heads.index('sigma') + 1] == 'scaled sigma'
+        assert 'not to be believed' in shown.caption
+
+
+def test_doubtful_sigmas_are_told_on_the_page(tmp_path):
+    """Of stars with one and a half times the noise that is stated."""
+    scenario = SHORT.replace({'truth.star_tracker.centroid_sigma_px': 0.075})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    calibrator, history = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), scenario)
+    made_of = result.result(calibrator, {'bag': 'x'})
+    judged = verdict.of(calibrator)
+    assert judged.word == 'inconsistent'
+    drawn = Page(html(Calibration(made_of, None, history, judged, scenario, [])))
+    head, *body = drawn.rows('states')
+    for cells, state in zip(body, report.rows(made_of, None)):
+        row = dict(zip(head, cells))
+        assert float(row['scaled sigma']) == pytest.approx(state.scaled, rel=0.06)
+    for name in ('verdict', 'states'):
+        said, = [e['text'] for e in drawn.all('section') if e['id'] == name]
+        assert 'not to be believed' in said
+
+
 def test_counts_and_provenance_are_those_of_the_result(page, outcome):
     counts = {name.replace(' ', '_'): int(value) for name, value in page.rows('counts')}
     assert counts == outcome['counts']
@@ -165,7 +201,9 @@ def test_counts_and_provenance_are_those_of_the_result(page, outcome):
 def test_verdict_and_advice_are_on_the_page(page, outcome):
     text = page.all('section')[0]['text']
     assert outcome['converged'] is False and 'Not yet: ε_x, ' in text
-    assert 'can not be told apart yet: ' in text
+    assert 'can not be told apart yet: so far the stars show only their sum; ' in text or (
+        'can not be told apart yet: in the middle of the field' in text)
+    assert outcome['advice'] in text.replace('Not yet', 'not yet')
     assert re.search(r'u0 and Ψ_y are correlated by [+-]\d\.\d{4}', text)
 
 

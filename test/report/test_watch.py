@@ -113,6 +113,16 @@ def test_view_has_verdict_inputs_counts_and_what_can_not_be_told_apart():
     assert 'sigma' not in shown         # no count, though it is a whole number
 
 
+@pytest.mark.parametrize('message, shown', [
+    ('not yet: u0; more frames are needed; 2.3 h more', 1), ('inconsistent: a', 1),
+    ('converged', 0)])
+def test_advice_is_shown_once(message, shown):
+    advice = {'not yet': 'more frames are needed; 2.3 h more', 'inconsistent': 'find it'}.get(
+        message.partition(':')[0], 'none')
+    view = text(Seen(level=0, message=message, silent_s=0.0, values={'advice': advice}))
+    assert view.count(advice) == shown
+
+
 # Over ROS 2
 
 

@@ -3,13 +3,16 @@
 """RESULT.json: what is in it, that its parts agree, that it is JSON."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from instruments import TAN2018
 from starcal_ros.core import rotation
+from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import CALIBRATED, PHI, UNIT
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import CalibrationError, result, word, write_json
@@ -48,7 +51,8 @@ def test_keys_are_those_of_the_interface(outcome):
     assert set(outcome) == {
         'intrinsics', 'intrinsics_sigma', 'gyro_bias_deg_h', 'gyro_bias_sigma_deg_h', 'mounting',
         'covariance', 'reprojection_rms_px', 'attitude_final', 'verdict', 'converged',
-        'consistency', 'variance_factor', 'counts', 'provenance'}
+        'consistency', 'variance_factor', 'tolerance', 'advice', 'not_told_apart', 'counts',
+        'provenance'}
     assert set(outcome['intrinsics']) == set(outcome['intrinsics_sigma']) == intrinsics
     assert set(outcome['mounting']) == {'quaternion_xyzw', 'fixed_angles_deg', 'sigma_arcsec'}
     assert set(outcome['attitude_final']) == {'stamp_ns', 'quaternion_xyzw'}
@@ -67,6 +71,32 @@ def test_arrays_have_the_sizes_of_the_interface(outcome):
     assert isinstance(outcome['converged'], bool)
     assert isinstance(outcome['attitude_final']['stamp_ns'], int)
     assert all(isinstance(count, int) for count in outcome['counts'].values())
+
+
+def test_tolerances_have_the_names_and_units_of_the_sigmas(outcome):
+    tolerance, of = outcome['tolerance'], SCENARIO.estimator.tolerance
+    assert tolerance['gyro_bias_sigma_deg_h'] == pytest.approx([of.gyro_bias_deg_h] * 3)
+    assert tolerance['mounting']['sigma_arcsec'] == pytest.approx([of.fixed_angles_arcsec] * 3)
+    assert tolerance['intrinsics_sigma'] == pytest.approx({
+        'u0_px': of.principal_point_px, 'v0_px': of.principal_point_px, 'f_mm': of.focal_length_mm,
+        'k1': of.k1, 'k2': of.k2, 'p1': of.p1, 'p2': of.p2})
+    for key, value in tolerance.items():
+        assert np.shape(value) == np.shape(outcome[key]) or set(value) <= set(outcome[key])
+
+
+def test_advice_and_couplings_are_those_of_the_verdict(calibrator, outcome):
+    judged = verdict.of(calibrator)
+    assert outcome['advice'] == judged.advice != ''
+    assert outcome['not_told_apart'] == [
+        {'states': list(each.names), 'reason': each.reason, 'advice': each.advice}
+        for each in judged.couplings] != []
+
+
+def test_advice_tells_the_time_where_it_is_known_how_the_run_went(calibrator):
+    sigma = calibrator.belief.sigma
+    seen = Progress([(0, 1.5 * sigma), (90 * 10**9, 1.2 * sigma), (180 * 10**9, sigma)])
+    assert re.search(r'[\d.]+ (s|min|h) more', result(calibrator, PROVENANCE, seen)['advice'])
+    assert ' more' not in result(calibrator, PROVENANCE)['advice'].replace('more frames', '')
 
 
 def test_written_file_is_strict_JSON_with_the_same_values(outcome, tmp_path):
