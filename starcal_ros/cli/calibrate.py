@@ -97,7 +97,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     if page is not None:
         from starcal_ros.report.page import Calibration, write_page
         write_page(page, Calibration(outcome, truth, history, judged, scenario,
-                                     contradictions + notices))
+                                     contradictions + notices,
+                                     calibrator.consistency.history))
     return calibrator
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,10 +16,11 @@ from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter.ambiguity import NAMES
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.verdict import INCONSISTENT, Verdict
-from starcal_ros.report import detector_charts, time_charts
+from starcal_ros.report import detector_charts, statistic_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.report.states import DOUBT, LABELS, SCALED, Row, rows, short, summary
 
@@ -42,6 +44,8 @@ class Calibration(NamedTuple):
         Configuration that it was made with.
     notices : list of str
         What a user should know.
+    tests : sequence of (int, tuple of Statistic)
+        What the tests of the innovations were on the way, by their stamps.
     """
 
     outcome: dict[str, Any]
@@ -50,6 +54,7 @@ class Calibration(NamedTuple):
     verdict: Verdict
     scenario: Scenario
     notices: list[str]
+    tests: Sequence[tuple[int, tuple[Statistic, ...]]] = ()
 
 
 def write_page(path: str | Path, calibration: Calibration) -> None:
@@ -139,7 +144,19 @@ def _residuals(calibration: Calibration) -> str:
 
 def _consistency(calibration: Calibration) -> str:
     figure, text = time_charts.consistency(calibration.history)
-    return section('consistency', 'InnovationTests', paragraph(text), charts([figure]))
+    tests, stamps = calibration.tests, calibration.history.stamp_ns
+    if calibration.verdict.statistics:
+        tests = [*tests, (int(stamps[-1]), calibration.verdict.statistics)]
+    drawn = statistic_charts.statistics(tests, int(stamps[0]))
+    failing = sum(not each.passed for each in calibration.verdict.statistics)
+    told = (f'{failing} of {len(drawn)} tests of the innovations fail. ' if failing else
+            f'All {len(drawn)} tests of the innovations pass. ') if drawn else (
+            'There are too few frames for the tests of the innovations.')
+    how = ('Each is drawn, minute by minute, by its place in the band that it keeps where the '
+           'model is right, beyond it on a logarithmic scale: at 10 × it is ten half widths away '
+           'from the middle.') if drawn else ''
+    return section('consistency', 'Consistency', paragraph(told + how), charts(drawn),
+                   paragraph(text), charts([figure]))
 
 
 def _distortion(calibration: Calibration) -> str:

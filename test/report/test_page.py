@@ -19,11 +19,13 @@ from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
 from starcal_ros.core import camera
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter import verdict
 from starcal_ros.filter.offline import Residuals, calibrate
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.recording import reader
-from starcal_ros.report import detector_charts, time_charts
+from starcal_ros.report import detector_charts, statistic_charts, time_charts
+from starcal_ros.report.chart import BLUE, RED
 from starcal_ros.report.page import Calibration, html
 from starcal_ros.results import result
 from starcal_ros.simulation import sensors
@@ -31,7 +33,8 @@ from starcal_ros.simulation import sensors
 SHORT = TAN2018.replace({'simulation.duration_s': 150.0})
 SECTIONS = ['verdict', 'states', 'convergence', 'residuals', 'consistency', 'distortion',
             'coupling', 'counts', 'provenance']
-CHARTS = 13 + 3 + 1 + 4 + 3     # states; map and histograms; NIS; distortion; coupling
+CHARTS = 13 + 3 + 8 + 1 + 4 + 3
+"""States; map and histograms; tests of the innovations; NIS; distortion; coupling."""
 HOSTILE = '<img src=x onerror=alert(1)>&"\'.mcap'
 HOSTILE_FILE = '</pre><script>alert(2)</script>.mcap'
 BROWSER = shutil.which('chromium')
@@ -179,14 +182,17 @@ def test_doubtful_sigmas_are_told_on_the_page(tmp_path):
     made_of = result.result(calibrator, {'bag': 'x'})
     judged = verdict.of(calibrator)
     assert judged.word == 'inconsistent'
-    drawn = Page(html(Calibration(made_of, None, history, judged, scenario, [])))
-    head, *body = drawn.rows('states')
+    drawn_page = Page(html(Calibration(made_of, None, history, judged, scenario, [])))
+    head, *body = drawn_page.rows('states')
     for cells, state in zip(body, report.rows(made_of, None)):
         row = dict(zip(head, cells))
         assert float(row['scaled sigma']) == pytest.approx(state.scaled, rel=0.06)
     for name in ('verdict', 'states'):
-        said, = [e['text'] for e in drawn.all('section') if e['id'] == name]
+        said, = [e['text'] for e in drawn_page.all('section') if e['id'] == name]
         assert 'not to be believed' in said
+    said, = [e['text'] for e in drawn_page.all('section') if e['id'] == 'consistency']
+    failing = sum(not each.passed for each in judged.statistics)
+    assert f'{failing} of {len(judged.statistics)} tests of the innovations fail. ' in said
 
 
 def test_counts_and_provenance_are_those_of_the_result(page, outcome):
@@ -227,7 +233,7 @@ def test_without_truth_the_page_does_without_it(made, tmp_path):
     page = Page((tmp_path / 'r.html').read_text())
     assert 'truth' not in page.rows('states')[0]
     assert 'Estimate minus final estimate' in page.all('section')[2]['text']
-    assert len(page.all('figcaption')) == CHARTS - 2
+    assert len(page.all('figcaption')) == CHARTS - 2 - 2    # nor is there a whole window
 
 
 def test_notices_are_on_the_page(made, tmp_path):
@@ -281,6 +287,45 @@ def test_consistency_says_how_many_frames_lie_in_the_band(history):
     chart, text = time_charts.consistency(history)
     assert len(chart.figure.data[2].y) == len(history.nis)
     assert abs(float(re.match(r'([\d.]+)%', text)[1]) - 95.0) < 5.0
+
+
+def drawn(value, low=2.0, high=4.0):
+    return float(statistic_charts.place(np.array(value), np.array(low), np.array(high)))
+
+
+def test_statistics_are_drawn_by_their_place_in_the_band():
+    assert [drawn(value) for value in (2.0, 3.0, 4.0, 3.5)] == [-1.0, 0.0, 1.0, 0.5]
+    # ten and a hundred half widths away from the middle
+    assert [drawn(value) for value in (13.0, -7.0, 103.0)] == pytest.approx([2.0, -2.0, 3.0])
+    assert drawn(0.0, 0.0, 5.0) == -1.0
+
+
+def test_each_test_of_the_innovations_has_its_history_the_failing_ones_first():
+    minute = 60 * 10**9
+    fine, bad = (Statistic('fine', 0.5, -1.0, 1.0, 9), Statistic('bad', -30.0, -1.0, 1.0, 9))
+    tests = [(minute, (fine,)), (2 * minute, (fine, bad._replace(value=0.0))),
+             (3 * minute, (fine._replace(value=5.0), bad)), (4 * minute, (fine, bad))]
+    first, second = statistic_charts.statistics(tests, 0)
+    assert first.title == 'Fails: bad -30, allowed -1 to 1'
+    assert second.title == 'fine 0.5, allowed -1 to 1'
+    for chart, minutes, values, colors in (
+            (first, [2, 3, 4], [0.0, -30.0, -30.0], [BLUE, RED, RED]),
+            (second, [1, 2, 3, 4], [0.5, 0.5, 5.0, 0.5], [BLUE, BLUE, RED, BLUE])):
+        lower, upper, line = chart.figure.data
+        assert {*lower.y} == {-1.0} and {*upper.y} == {1.0}
+        assert list(line.x) == pytest.approx(minutes)
+        assert list(line.marker.color) == colors
+        np.testing.assert_allclose(line.customdata[:, 0], values)
+        assert max(np.abs(line.y)) < chart.figure.layout.yaxis.range[1]
+    assert (first.figure.data[2].line.color, second.figure.data[2].line.color) == (RED, BLUE)
+    assert statistic_charts.statistics([], 0) == []
+
+
+def test_page_tells_how_many_tests_fail(page):
+    said, = [e['text'] for e in page.all('section') if e['id'] == 'consistency']
+    assert 'All 8 tests of the innovations pass. ' in said
+    captions = [e['text'] for e in page.all('figcaption', 'consistency')]
+    assert len(captions) == 9 and captions[0].startswith('NIS of the turns ')
 
 
 def test_history_has_the_residuals_of_every_star(history):
