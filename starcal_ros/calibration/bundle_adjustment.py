@@ -92,6 +92,8 @@ class Adjusted:
         Observations inside the gate.
     scale : float
         Size of the residuals of the spots used over what the stated sigmas promise.
+    freedom : int
+        Numbers of the spots used, less what was fitted to them.
     """
 
     intrinsics: Array
@@ -101,6 +103,7 @@ class Adjusted:
     residual: Array
     used: Mask
     scale: float
+    freedom: int
 
 
 def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, pitch_mm: float,
@@ -133,7 +136,8 @@ def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, p
         used = _enough(spots.frame, length**2 <= gate * scale**2)
     weight = np.where(used, 1.0 / spots.sigma, 0.0)
     covariance = problem.normal(state, weight).camera_covariance()
-    return Adjusted(state.intrinsics, covariance, state.C_si, state.points, residual, used, scale)
+    return Adjusted(state.intrinsics, covariance, state.C_si, state.points, residual, used, scale,
+                    problem.freedom(used))
 
 
 class _State(NamedTuple):
@@ -215,6 +219,12 @@ class _Problem:
         anchored = np.unique(group[np.unique(spots.frame[self.known])])
         label, first = np.unique(group, return_index=True)
         return first[~np.isin(label, anchored)].astype(np.int64)
+
+    def freedom(self, used: Mask) -> int:
+        """Return the numbers of some spots less those of attitudes, directions and camera."""
+        frames = len(np.setdiff1d(self.spots.frame[used], self.pinned))
+        points = len(np.unique(self.spots.point[used & ~self.known]))
+        return int(2 * used.sum() - 3 * frames - 2 * points - self.free.sum())
 
     def offset(self, state: _State) -> Array:
         """Return how far the free intrinsics are from the prior's mean, in units of SCALE."""

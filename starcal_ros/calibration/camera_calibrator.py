@@ -6,7 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from starcal_ros.calibration import camera_verdict
+from starcal_ros.calibration.camera_verdict import CameraVerdict
+from starcal_ros.calibration.frame_sample import FrameSample
 from starcal_ros.calibration.method import CameraMethod
+from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.measurements.intake import Change, Intake
@@ -35,7 +39,9 @@ class CameraCalibrator:
     """
 
     def __init__(self, scenario: Scenario, begin: Callable[[], CameraMethod]) -> None:
+        self._scenario = scenario
         self._begin, self._method = begin, begin()
+        self._sample = FrameSample(camera_verdict.FRAMES)
         self._notices = Notices()
         self._intake = Intake(scenario, self._notices)
         self.stamp_ns = NEVER_NS
@@ -54,8 +60,26 @@ class CameraCalibrator:
         while change := self._intake.settle():
             if change is Change.RESTARTED:
                 self._method = self._begin()
+                self._sample = FrameSample(camera_verdict.FRAMES)
             self._hand_over()
         return self._method.estimate()
+
+    def judge(self, estimate: CameraEstimate, most_stars: int = camera_verdict.STARS
+              ) -> CameraVerdict:
+        """Return the verdict on the estimate of the frames so far, at a bounded cost.
+
+        Parameters
+        ----------
+        estimate : CameraEstimate
+        most_stars : int
+            Stars that are looked at, of some frames of all.
+        """
+        found = camera_verdict.of_frames(self._sample.frames, estimate, self._scenario,
+                                         most_stars)
+        own = getattr(self._method, 'consistency', None)
+        if isinstance(own, Consistency):
+            found = found.beside(own)
+        return camera_verdict.judge(found, estimate, self._scenario)
 
     def take_notices(self) -> list[str]:
         """Return what happened that a user should know, once."""
@@ -65,5 +89,6 @@ class CameraCalibrator:
         gyro, frames = self._intake.take()
         self._method.add_gyro(gyro)
         self._method.add_frames(frames)
+        self._sample.add(frames)
         if len(frames):
             self.stamp_ns = int(frames.stamp_ns[-1])

@@ -11,7 +11,7 @@ from typing import Any
 
 from starcal_ros import calibration
 from starcal_ros.cli import arguments, still_images
-from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.cli.terminal import STATUS, progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import parameters
 from starcal_ros.core.camera import INTRINSICS
@@ -24,7 +24,9 @@ DESCRIPTION = ('Calibrate the camera alone, from what the stars are to each othe
                '(PNG, TIFF, JPEG, FITS) nothing need be known: their stars are measured and '
                "identified (extra identify), and the result is OpenCV's f, u0, v0, k1, k2, p1, p2 "
                'with their covariance and the RMS of fitted and of held-out images. A table of '
-               'identified stars (--centroids) does as well.')
+               'identified stars (--centroids) does as well. The residuals are tested: exit '
+               'status 0 means consistent, 3 that it is not enough yet, 4 that the data '
+               'contradict the camera.')
 
 _OPTIONS = ('method', 'estimate', 'weighting', 'combination_model', 'singular_values',
             'interstar_equations')
@@ -63,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         from starcal_ros.results import result
         result.write_json(options.out, outcome)
-    return 0
+    return STATUS[outcome['verdict']]
 
 
 def _is_recording(path: Path) -> bool:
@@ -105,16 +107,18 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
             method.add_frames(frames[low:high])
             on_progress((part + 1) / (_BATCHES + 1))
         estimate = method.estimate()
+        judged = None if estimate is None else method.judge(estimate)
         on_progress(1.0)
     for text in (*recording.warnings, *method.take_notices()):
         say(f'warning: {text}')
-    if estimate is None:
+    if estimate is None or judged is None:
         raise result.CalibrationError(
             f'no camera from {len(frames)} frames with {len(frames.catalog_id)} stars, '
             f'{(frames.catalog_id > 0).sum()} of them identified')
     outcome = {'method': scenario.intrinsics.method, **result.camera(estimate),
-               'provenance': result.provenance(scenario, recording)}
+               **judged.as_dict(), 'provenance': result.provenance(scenario, recording)}
     attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
     truth = json.loads(attached) if attached else None
     show(report.camera(outcome, truth, f'Camera of {options.source}, {outcome["method"]}'))
+    show('\n'.join(report.verdict_lines(outcome)))
     return outcome

@@ -118,6 +118,7 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
         found, outcome = pipeline.calibrate(source, parameters=given)
         on_progress(1.0)
     show(report.still_images(outcome, f'Camera of {source.name}, {outcome["method"]}'))
+    show('\n'.join(report.verdict_lines(outcome)))
     if options.report:
         from starcal_ros.report.still_images_page import write_still_images_page
         write_still_images_page(options.report, found, outcome, [*source.notices])

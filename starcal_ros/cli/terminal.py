@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-STATUS = {'converged': 0, 'not yet': 3, 'inconsistent': 4, 'lost': 4}
+STATUS = {'converged': 0, 'consistent': 0, 'not yet': 3, 'inconsistent': 4, 'lost': 4}
 """Exit status of a calibration, by its verdict; the result is written in all of them."""
 
 _UNBOUNDED = 1000       # characters

@@ -14,6 +14,7 @@ from typing import Any
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
+from starcal_ros.nodes import intrinsics_diagnostics
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.managed_node import ManagedNode
@@ -21,10 +22,11 @@ from starcal_ros.nodes.base.ros_messages import CONTENTS
 
 _PERIOD_S = 1.0
 _SHARE = 0.2            # of the time that may go into answers
+_STARS = 3000           # that the verdict of an answer looks at, at most
 
 
 class IntrinsicsEstimator(ManagedNode):
-    """Feed a `CameraMethod` from two topics and publish its camera."""
+    """Feed a `CameraMethod` from two topics and publish its camera and the verdict on it."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('intrinsics_estimator', 'camera', 'mounting', 'gyro', 'star_tracker',
@@ -38,6 +40,7 @@ class IntrinsicsEstimator(ManagedNode):
         self._dirty, self._not_before = False, 0.0
         self._camera = self.offer(topics.INTRINSICS_CAMERA)
         self._state = self.offer(topics.INTRINSICS_STATE)
+        self._diagnostics = self.offer(topics.DIAGNOSTICS)
 
     def activate(self) -> None:
         """Listen to the sensors."""
@@ -69,6 +72,8 @@ class IntrinsicsEstimator(ManagedNode):
         estimate = self._method.estimate()
         for text in self._method.take_notices():
             self.get_logger().warning(text)
+        judged = None if estimate is None else self._method.judge(estimate, _STARS)
+        self._diagnostics.publish(intrinsics_diagnostics.message(self, estimate, judged))
         if estimate is not None:
             stamp_ns = self._method.stamp_ns
             self._camera.publish(CONTENTS.camera_info(

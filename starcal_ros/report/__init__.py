@@ -10,11 +10,11 @@ those of the tests of the innovations, `detector_charts` those over the detector
 residuals.
 """
 
-from starcal_ros.report.cameras import camera, chain, still_images
+from starcal_ros.report.cameras import camera, chain, still_images, verdict_lines
 from starcal_ros.report.convergence import figure
 from starcal_ros.report.montecarlo_table import study
 from starcal_ros.report.reproduction_table import draw, published
 from starcal_ros.report.states import rows, summary, table
 
 __all__ = ['camera', 'chain', 'draw', 'figure', 'published', 'rows', 'still_images', 'study',
-           'summary', 'table']
+           'summary', 'table', 'verdict_lines']

@@ -14,7 +14,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector
 from starcal_ros.filter.offline import Residuals
 from starcal_ros.report import detector_charts
-from starcal_ros.report.cameras import entry
+from starcal_ros.report.cameras import entry, entry_columns, verdict_lines
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.workflows.still_images.calibration import Refit, StillImageCamera
 from starcal_ros.workflows.still_images.opencv_camera import KEYS
@@ -35,11 +35,23 @@ def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: 
         What a user should know.
     """
     Path(path).write_text(document(
-        f'Camera of {outcome["source"]}', _camera(outcome), *_images(found),
+        f'Camera of {outcome["source"]}', _verdict(outcome), _camera(outcome), *_images(found),
         *_left_out(outcome), _distortion(found), _coupling(outcome), section(
             'notices', 'Notices', items(notices) if notices else paragraph('No notices.'),
             '<details><summary>Configuration</summary><pre>'
             f'{escape(parameter_file.dump(found.scenario))}</pre></details>')), encoding='utf-8')
+
+
+def _verdict(outcome: dict[str, Any]) -> str:
+    first, *others = verdict_lines(outcome)
+    rows = [[each['name'], f'{each["value"]:.4g}', f'{each["low"]:.4g} to {each["high"]:.4g}',
+             str(each['samples']), 'passed' if each['passed'] else 'failed']
+            for each in outcome['consistency']]
+    return section(
+        'verdict', 'Verdict',
+        f'<p class="verdict {"yes" if outcome["converged"] else "no"}">{escape(first)}</p>',
+        items(others) if others else '',
+        table(['test of the residuals', 'value', 'allowed', 'parts', ''], rows) if rows else '')
 
 
 def _camera(outcome: dict[str, Any]) -> str:
@@ -50,7 +62,7 @@ def _camera(outcome: dict[str, Any]) -> str:
                   f'{counts["rejected_stars"]} rejected; method {outcome["method"]}. OpenCV\'s '
                   'forward model, (0, 0) the centre of the top-left pixel. A centroid has a sigma '
                   f'of {outcome["centroid_sigma_px"]:.4f} px in each axis, from the residuals.'),
-        table(['parameter', 'unit', 'estimate', 'sigma'],
+        table(list(entry_columns(outcome)),
               [entry(outcome, key) for key in outcome['parameters']]))
 
 

@@ -14,13 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from starcal_ros.calibration import residual_tests
 from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Observations, adjust
 from starcal_ros.calibration.bundle_start import attitudes, identified
+from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import nominal_camera, star_gate, with_camera
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.spot_tracker import SpotTracker
@@ -59,14 +62,17 @@ class Bundle:
     ----------
     misfit : float
         Size of the residuals over what the sigmas promise, of the last estimate.
+    consistency : Consistency
+        What the residuals of unidentified spots say of the last estimate.
     """
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
-        self.misfit = np.inf
+        self.misfit, self.consistency = np.inf, Consistency()
         self._prior = nominal_camera(scenario, known)
         self._scenario = with_camera(scenario, self._prior.intrinsics)
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._gate = star_gate(scenario.estimator)
+        self._gated = gated_nis(scenario.estimator.gate_probability)
         self._directions = StarDirections(scenario)
         self._frames: list[Frames] = []
         self._gyro: list[GyroSamples] = []
@@ -96,6 +102,8 @@ class Bundle:
                                'that is anything like the nominal one')
             return None
         self.misfit = adjusted.scale
+        self.consistency = Consistency() if identified_ else residual_tests.of_unidentified(
+            adjusted, start_.spots.sigma, self._gated)
         used = int(adjusted.used.sum())
         if used < len(adjusted.used):
             self._notices.once('rejected', f'{len(adjusted.used) - used} of '

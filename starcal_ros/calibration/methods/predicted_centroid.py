@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import with_camera
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
@@ -48,6 +49,15 @@ class PredictedCentroid:
         self.add_gyro = self._calibrator.add_gyro
         self.add_frames = self._calibrator.add_frames
         self.take_notices = self._calibrator.take_notices
+
+    @property
+    def consistency(self) -> Consistency:
+        """What the innovations say."""
+        tests = self._calibrator.consistency
+        statistics = tests.statistics()
+        passed = all(each.passed for each in statistics)
+        factor = 1.0 if passed else max(tests.variance_factors)
+        return Consistency(statistics, None, (factor,) * 7)
 
     def estimate(self) -> CameraEstimate | None:
         """Return the camera after the last frame that the gyro has reached."""

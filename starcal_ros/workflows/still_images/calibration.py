@@ -21,23 +21,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from starcal_ros import calibration
-from starcal_ros.calibration import bundle_adjustment, bundle_start
+from starcal_ros.calibration import bundle_adjustment, held_camera, residual_tests
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
-from starcal_ros.config.models import star_gate
+from starcal_ros.calibration.camera_verdict import CameraVerdict
+from starcal_ros.calibration.residual_tests import FittedStars
+from starcal_ros.config.models import detector, star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
-from starcal_ros.core import camera
 from starcal_ros.core.arrays import Mask
+from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images.atmosphere import without_air
-from starcal_ros.workflows.still_images.opencv_camera import KEYS, from_estimate
+from starcal_ros.workflows.still_images.opencv_camera import IN_OURS, KEYS, from_estimate
 from starcal_ros.workflows.still_images.table import StillImages
 
 PITCH_MM = 0.005
 """Pixel pitch that stands for any."""
+
+STATED = 1.5**2
+"""Factor by which the variance of a centroid may differ from the stated one: the sigmas of a fit
+to pixels of unknown gain are good to a half."""
 
 _SIGMA_PX = 0.1         # of a centroid without a sigma of its own, to begin with
 _LEAST_SIGMA_PX = 1e-4
@@ -55,11 +62,14 @@ class Refit(NamedTuple):
         Their stars.
     adjusted : Adjusted
         With the residuals.
+    stars : FittedStars
+        Those inside the gate, linearised.
     """
 
     names: tuple[str, ...]
     spots: Observations
     adjusted: Adjusted
+    stars: FittedStars
 
     @property
     def rms_px(self) -> float:
@@ -81,6 +91,8 @@ class StillImageCamera:
         The images that took part and those that did not.
     scenario : Scenario
         What the method began with.
+    verdict : CameraVerdict
+        Whether the residuals are noise; there are no tolerances in units of PITCH_MM.
     """
 
     estimate: CameraEstimate
@@ -88,16 +100,23 @@ class StillImageCamera:
     fit: Refit
     heldout: Refit | None
     scenario: Scenario
+    verdict: CameraVerdict
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON, the covariance in the order of KEYS."""
         values, covariance = from_estimate(self.estimate, self.scenario)
+        judged = self.verdict.as_dict()
+        factors = dict(zip(INTRINSICS, self.verdict.consistency.camera_factors))
+        judged['variance_factor'] = {
+            'centroids': judged['variance_factor']['centroids'],
+            **{key: factors[name] for key, name in zip(KEYS, IN_OURS)}}
         sigma = np.sqrt(np.diag(covariance))
         return {
             **dict(zip(KEYS, values.tolist())), 'sigma': dict(zip(KEYS, sigma.tolist())),
             'parameters': list(KEYS), 'covariance': covariance.tolist(),
             'centroid_sigma_px': self.sigma_px, 'fit_rms_px': self.fit.rms_px,
             'heldout_rms_px': self.heldout.rms_px if self.heldout else None,
+            **judged,
             'counts': {'images': self.estimate.frames, 'stars': self.estimate.stars,
                        'rejected_stars': int((~self.fit.adjusted.used).sum()),
                        'heldout_stars': (int(self.heldout.adjusted.used.sum())
@@ -166,7 +185,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
     site : Site, optional
         Where the images were taken, to free them of refraction.
     """
-    measured, result = images.frames, None
+    measured, result, stated = images.frames, None, 1.0
     for _ in range(_ROUNDS if site is None else _ROUNDS_IN_AIR):
         stars = StarDirections(scenario).of(images.frames)
         fitted = images.which(~images.heldout)
@@ -180,11 +199,19 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
         adjusted = fit.adjusted
         freedom = max(1, 2 * int(adjusted.used.sum()) - 3 * len(adjusted.C_si)
                       - int(np.count_nonzero(estimate.sigma)))
-        residual, stated = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
+        residual, given = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
         sigma = float(np.sqrt(np.sum(residual**2) / freedom))
-        result = StillImageCamera(estimate, sigma, fit, refit(
-            images, stars, images.heldout, estimate, scenario), scenario)
-        scale = float(np.sqrt(np.sum((residual / stated[:, None])**2) / freedom))
+        heldout = refit(images, stars, images.heldout, estimate, scenario)
+        # A sigma that nobody stated can not be contradicted.
+        found = residual_tests.consistency(
+            fit.stars, estimate, detector(scenario.camera),
+            gated_nis(scenario.estimator.gate_probability),
+            STATED if (measured.sigma > 0.0).all() else None, 1.0 / stated**2,
+            heldout=heldout.stars if heldout else None)
+        result = StillImageCamera(estimate, sigma, fit, heldout, scenario,
+                                  CameraVerdict(found, {}, ()))
+        scale = float(np.sqrt(np.sum((residual / given[:, None])**2) / freedom))
+        stated *= scale
         known = measured.sigma > 0.0
         measured = replace(measured, sigma=np.where(
             known, np.maximum(scale * measured.sigma, _LEAST_SIGMA_PX), 0.0))
@@ -214,19 +241,13 @@ def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimat
     scenario : Scenario
         Pixel pitch, gate.
     """
-    rows = np.repeat(part, images.frames.star_counts)
-    stars = stars.take(rows)
+    stars = stars.take(np.repeat(part, images.frames.star_counts))
     images = images.which(part)
     frames = images.frames
-    spots = bundle_start.identified(frames, stars)
-    if not len(spots.frame):
+    fitted = held_camera.fit(frames, stars, estimate.intrinsics, scenario.camera.pixel_pitch_mm,
+                             star_gate(scenario.estimator))
+    if fitted is None:
         return None
-    image = frames.frame_index
-    enough = np.bincount(image, np.isfinite(stars.sigma),
+    enough = np.bincount(frames.frame_index, np.isfinite(stars.sigma),
                          len(frames)) >= bundle_adjustment.MIN_STARS
-    pitch_mm = scenario.camera.pixel_pitch_mm
-    r_s = camera.unproject(spots.uv, estimate.intrinsics, pitch_mm)
-    adjusted = bundle_adjustment.adjust(
-        spots, estimate.intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
-        np.zeros((7, 7)), star_gate(scenario.estimator))
-    return Refit(tuple(np.array(images.names)[enough].tolist()), spots, adjusted)
+    return Refit(tuple(np.array(images.names)[enough].tolist()), *fitted)

@@ -18,6 +18,8 @@ from starcal_ros.messages.conventions import camera_info
 
 KEYS = ('f_px', 'u0_px', 'v0_px', 'k1', 'k2', 'p1', 'p2')
 """The intrinsics in results; p1 and p2 are OpenCV's."""
+IN_OURS = ('f', 'u0', 'v0', 'k1', 'k2', 'p2', 'p1')
+"""The same, as `starcal_ros.core.camera` calls them."""
 
 
 def from_estimate(estimate: CameraEstimate, scenario: Scenario) -> tuple[Array, Array]:

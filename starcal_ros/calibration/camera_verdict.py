@@ -1,0 +1,154 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a camera that was calibrated alone is to be believed.
+
+consistent
+    No test of `residual_tests` fails, and every sigma is inside its tolerance where there is one.
+not yet
+    A sigma is outside its tolerance, or nothing could be tested.
+inconsistent
+    A test fails: the sigmas are not to be believed, however small they are.
+
+A recording is tested with `FRAMES` of its frames at most, evenly spread, and `STARS` of their
+stars, so that a test costs the same however long it is. Where the camera may walk
+(``estimator.process_noise``) each run of frames gets a camera of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from starcal_ros.calibration import held_camera, residual_tests
+from starcal_ros.calibration.residual_tests import Consistency
+from starcal_ros.config.models import detector, of_intrinsics, star_gate
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.filter.innovation_tests import gated_nis
+from starcal_ros.filter.verdict import INCONSISTENT, NOT_YET
+from starcal_ros.measurements.samples import Frames
+from starcal_ros.measurements.star_directions import StarDirections
+
+CONSISTENT = 'consistent'
+FRAMES, STARS = 400, 12000
+"""Of a recording that are tested, at most."""
+
+UNIDENTIFIED = ('the stars are not identified and the method leaves no residuals: with bundle, or '
+                'with catalogue numbers, they are tested')
+NO_FRAME = 'no frame has stars enough'
+
+_ADVICE = {
+    residual_tests.LEVEL: 'the centroids do not have the stated sigma, or move between frames in '
+                          'a way that no attitude explains, such as refraction',
+    residual_tests.LENS: 'the lens has terms that the model lacks',
+    residual_tests.CELLS: 'stars are displaced in parts of the detector: look at the residual map',
+    residual_tests.PHASE: 'the centroids depend on where in a pixel a star falls',
+    residual_tests.TIME: 'the camera changes from frame to frame: focus, stabiliser, temperature',
+    residual_tests.AGREEMENT: 'these stars ask for another camera: wrong weights, or what the '
+                              'method began with is wrong',
+    residual_tests.SCATTER_CELLS: 'the noise depends on the place: state a sigma for each star',
+    residual_tests.SCATTER_MAGNITUDE: 'the noise depends on the brightness: state a sigma for '
+                                      'each star',
+    residual_tests.HELD_OUT: 'the camera does not hold for images that took no part',
+    residual_tests.REJECTIONS: 'most likely the identification, or the nominal camera, is wrong'}
+"""What a failed test suggests; those of the filter speak for themselves."""
+
+
+@dataclass(frozen=True)
+class CameraVerdict:
+    """What a camera is worth.
+
+    Attributes
+    ----------
+    consistency : Consistency
+        Tests of its residuals.
+    tolerance : dict
+        Largest sigma of each intrinsic that is enough, by its key; empty where none is stated.
+    outside : tuple of str
+        Keys of the intrinsics whose sigma is outside.
+    """
+
+    consistency: Consistency
+    tolerance: Mapping[str, float]
+    outside: tuple[str, ...]
+
+    @property
+    def word(self) -> str:
+        """`CONSISTENT`, `NOT_YET` or `INCONSISTENT`."""
+        if self.consistency.failed:
+            return INCONSISTENT
+        return NOT_YET if self.outside or self.consistency.why else CONSISTENT
+
+    @property
+    def advice(self) -> str:
+        """What to do, or to look at."""
+        failed = self.consistency.failed
+        if failed:
+            return '; '.join(dict.fromkeys(
+                _ADVICE[each.name] for each in failed if each.name in _ADVICE))
+        if self.outside:
+            return ('more frames, turned about the line of sight and with stars all over the '
+                    'field, for ' + ', '.join(self.outside))
+        return self.consistency.why
+
+    @property
+    def summary(self) -> str:
+        """One sentence."""
+        failed = self.consistency.failed
+        if failed:
+            return f'{INCONSISTENT}: ' + '; '.join(each.sentence for each in failed)
+        return self.word if self.word == CONSISTENT else f'{self.word}: {self.advice}'
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        found = self.consistency
+        return {
+            'verdict': self.word, 'converged': self.word == CONSISTENT,
+            'consistency': [{**each._asdict(), 'passed': each.passed}
+                            for each in found.statistics],
+            'variance_factor': {'centroids': found.centroid_factor,
+                                **dict(zip(INTRINSICS_KEYS, found.camera_factors))},
+            **({'tolerance': dict(self.tolerance)} if self.tolerance else {}),
+            'advice': self.advice}
+
+
+def judge(found: Consistency, estimate: CameraEstimate, scenario: Scenario) -> CameraVerdict:
+    """Return the verdict on the camera of a recording, with the tolerances of a scenario."""
+    tolerance = dict(zip(INTRINSICS_KEYS, of_intrinsics(scenario.estimator.tolerance).tolist()))
+    outside = tuple(key for key, sigma in zip(INTRINSICS_KEYS, estimate.sigma)
+                    if sigma > tolerance[key])
+    return CameraVerdict(found, tolerance, outside)
+
+
+def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
+              most_stars: int = STARS) -> Consistency:
+    """Test a camera with identified stars of a recording.
+
+    Parameters
+    ----------
+    frames : Frames
+        All, or some that are spread evenly; of too many stars frames are passed over.
+    estimate : CameraEstimate
+    scenario : Scenario
+        Sigmas, observer, gate, process noise.
+    most_stars : int
+        That are looked at; one frame at least.
+    """
+    if not (frames.catalog_id > 0).any():
+        return Consistency(why=UNIDENTIFIED)
+    stars = len(frames.catalog_id)
+    if stars > most_stars:
+        frames = frames.take(np.linspace(
+            0, len(frames) - 1, max(1, len(frames) * most_stars // stars)).astype(int))
+    fitted = held_camera.fit(frames, StarDirections(scenario).of(frames), estimate.intrinsics,
+                             scenario.camera.pixel_pitch_mm, star_gate(scenario.estimator))
+    if fitted is None:
+        return Consistency(why=NO_FRAME)
+    walk = of_intrinsics(scenario.estimator.process_noise)[estimate.sigma > 0.0]
+    return residual_tests.consistency(
+        fitted.stars, estimate, detector(scenario.camera),
+        gated_nis(scenario.estimator.gate_probability), walks=bool(walk.any()))

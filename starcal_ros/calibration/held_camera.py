@@ -1,0 +1,64 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Identified stars with the camera held: the attitude of each frame, and what is left of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from starcal_ros.calibration import bundle_adjustment, bundle_start, residual_tests
+from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.calibration.residual_tests import FittedStars
+from starcal_ros.core import camera
+from starcal_ros.core.arrays import Array
+from starcal_ros.measurements.samples import Frames, Stars
+from starcal_ros.sky import catalog
+
+
+class HeldFit(NamedTuple):
+    """Some frames, their attitudes fitted.
+
+    Attributes
+    ----------
+    spots : Observations
+        Their stars.
+    adjusted : Adjusted
+        With the residuals.
+    stars : FittedStars
+        Those inside the gate, linearised.
+    """
+
+    spots: Observations
+    adjusted: Adjusted
+    stars: FittedStars
+
+
+def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: float
+        ) -> HeldFit | None:
+    """Fit the attitudes alone; None where no frame has stars enough.
+
+    Parameters
+    ----------
+    frames : Frames
+    stars : Stars
+        Their stars, as of `StarDirections.of`.
+    intrinsics : (7,) array
+        The camera that is held.
+    pitch_mm : float
+        Pixel pitch [mm].
+    gate : float
+        As for `bundle_adjustment.adjust`.
+    """
+    spots = bundle_start.identified(frames, stars)
+    if not len(spots.frame):
+        return None
+    r_s = camera.unproject(spots.uv, intrinsics, pitch_mm)
+    adjusted = bundle_adjustment.adjust(
+        spots, intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
+        np.zeros((7, 7)), gate)
+    known = catalog.load_containing(frames.catalog_id)
+    magnitude = known.magnitude[known.rows(frames.catalog_id[bundle_start.usable(frames, stars)])]
+    return HeldFit(spots, adjusted, residual_tests.fitted_stars(
+        spots, adjusted, magnitude, pitch_mm))
