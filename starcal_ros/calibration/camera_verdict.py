@@ -39,7 +39,10 @@ FRAMES, STARS = 400, 12000
 
 UNIDENTIFIED = ('the stars are not identified and the method leaves no residuals: with bundle, or '
                 'with catalogue numbers, they are tested')
-NO_FRAME = 'no frame has stars enough'
+LEAST_STARS = 5
+"""Of a frame that is tested: of fewer, those that are left out can not be told."""
+NO_FRAME = f'no frame has {LEAST_STARS} identified stars'
+NO_FIT = 'the stars have no attitude with which this camera sees them'
 
 _ADVICE = {
     residual_tests.LEVEL: 'the centroids do not have the stated sigma, or move between frames in '
@@ -144,10 +147,22 @@ def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
     if stars > most_stars:
         frames = frames.take(np.linspace(
             0, len(frames) - 1, max(1, len(frames) * most_stars // stars)).astype(int))
-    fitted = held_camera.fit(frames, StarDirections(scenario).of(frames), estimate.intrinsics,
-                             scenario.camera.pixel_pitch_mm, star_gate(scenario.estimator))
-    if fitted is None:
+    found = StarDirections(scenario).of(frames)
+    counts = np.bincount(frames.frame_index, np.isfinite(found.sigma), len(frames))
+    enough = counts >= LEAST_STARS
+    if not enough.any():
         return Consistency(why=NO_FRAME)
+    # The gate counts in the scale of the residuals, of which an attitude takes its share.
+    mean = float(counts[enough].mean())
+    gate = star_gate(scenario.estimator) * 2.0 * mean / (2.0 * mean - 3.0)
+    try:
+        fitted = held_camera.fit(
+            frames.take(enough), found.take(enough[frames.frame_index]), estimate.intrinsics,
+            scenario.camera.pixel_pitch_mm, gate)
+    except np.linalg.LinAlgError:
+        fitted = None
+    if fitted is None:
+        return Consistency(why=NO_FIT)
     walk = of_intrinsics(scenario.estimator.process_noise)[estimate.sigma > 0.0]
     return residual_tests.consistency(
         fitted.stars, estimate, detector(scenario.camera),

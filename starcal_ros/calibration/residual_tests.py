@@ -71,7 +71,7 @@ HELD_OUT = 'held-out images against fitted ones'
 _LEAST = 30             # degrees of freedom before a statistic says anything
 _A_CELL = 20            # stars of a cell, on average, at least
 _FINE, _COARSE = 8, 4   # cells along each side, at most
-_BRIGHTNESSES = 5
+_RINGS, _BRIGHTNESSES = 4, 5
 _RANK = 1e-7            # singular value, of the largest, from which a column counts
 _LEFT = 1e-3            # part of a direction that camera and attitudes must leave
 
@@ -225,11 +225,11 @@ def consistency(stars: FittedStars, estimate: CameraEstimate, detector: Detector
         found.append(left.agreement(C, variance))
         if not found[-1].passed:
             factors.append(factors[0] * found[-1].value)
-    found += left.scatter(SCATTER_CELLS, _cell(stars.uv, detector, _COARSE))
+    found += left.scatter(SCATTER_CELLS, _cell(stars.uv, detector, _COARSE),
+                          _quantile(np.linalg.norm(stars.uv, axis=1), _RINGS))
     known = np.isfinite(stars.magnitude)
     if known.all():
-        edges = np.quantile(stars.magnitude, np.linspace(0.0, 1.0, _BRIGHTNESSES + 1)[1:-1])
-        found += left.scatter(SCATTER_MAGNITUDE, np.searchsorted(edges, stars.magnitude))
+        found += left.scatter(SCATTER_MAGNITUDE, _quantile(stars.magnitude, _BRIGHTNESSES))
     if heldout is not None and len(heldout.frame):
         found += _held_out(heldout, C, free, variance * gated, left.freedom)
     total = len(stars.frame) + stars.rejected
@@ -343,19 +343,22 @@ class _Left:
         value = float(self._t @ np.linalg.solve(S, self._t)) / k / variance
         return Statistic(AGREEMENT, value, 0.0, float(fisher.isf(ALARM, k, self.freedom)), k)
 
-    def scatter(self, name: str, group: Ints) -> list[Statistic]:
-        """Return the test of that group of stars, (n,), whose scatter differs most."""
-        squares = np.bincount(group, np.sum(self._z.reshape(-1, 2)**2, axis=1))
-        freedom = np.bincount(group, self._of_star)
-        judged = np.flatnonzero((freedom >= _LEAST) & (self.freedom - freedom >= _LEAST))
-        found = []
-        for k in judged:
-            rest = self.freedom - freedom[k]
-            ratio = squares[k] / freedom[k] / ((self.squares - squares[k]) / rest)
-            half = ALARM / 2.0 / len(judged)
-            low, high = fisher.ppf([half, 1.0 - half], freedom[k], rest)
-            found.append(Statistic(name, float(ratio), float(low) / SCATTER,
-                                   float(high) * SCATTER, len(judged)))
+    def scatter(self, name: str, *groupings: Ints) -> list[Statistic]:
+        """Return the test of that group of stars, each (n,), whose scatter differs most."""
+        of_star = np.sum(self._z.reshape(-1, 2)**2, axis=1)
+        pairs: list[tuple[float, float]] = []
+        for group in groupings:
+            pairs += zip(np.bincount(group, of_star).tolist(),
+                         np.bincount(group, self._of_star).tolist())
+        pairs = [(squares, freedom) for squares, freedom in pairs
+                 if _LEAST <= freedom <= self.freedom - _LEAST]
+        half, found = ALARM / 2.0 / max(len(pairs), 1), []
+        for squares, freedom in pairs:
+            rest = self.freedom - freedom
+            ratio = squares / freedom / ((self.squares - squares) / rest)
+            low, high = fisher.ppf([half, 1.0 - half], freedom, rest)
+            found.append(Statistic(name, ratio, float(low) / SCATTER,
+                                   float(high) * SCATTER, len(pairs)))
         return [max(found, key=lambda each: max(each.value / each.high, each.low / each.value))
                 ] if found else []
 
@@ -417,6 +420,12 @@ def _cell(uv: Array, detector: Detector, most: int) -> Ints:
     place = np.floor((uv / [detector.width, detector.height] + 0.5) * side)
     column, row = np.clip(place, 0, side - 1).astype(np.int64).T
     return np.asarray(row * side + column)
+
+
+def _quantile(values: Array, parts: int) -> Ints:
+    """Return in which of so many parts of like size each value is."""
+    edges = np.quantile(values, np.linspace(0.0, 1.0, parts + 1)[1:-1])
+    return np.asarray(np.searchsorted(edges, values), np.int64)
 
 
 def _of_groups(group: Ints) -> Array:

@@ -10,6 +10,7 @@ import pytest
 from instruments import TAN2018
 from starcal_ros.calibration.methods import predicted_centroid
 from starcal_ros.cli import main
+from starcal_ros.config import parameter_file
 from starcal_ros.config.models import nominal_camera
 from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
@@ -38,23 +39,40 @@ def bag(tmp_path_factory):
 
 def test_recording_without_gyro_gives_the_camera(bag, tmp_path, capsys):
     out = tmp_path / 'camera.json'
-    assert main(['intrinsics', str(bag), '--method', 'bundle', '--out', str(out)]) == 0
+    assert main(['intrinsics', str(bag), '--method', 'bundle', '--out', str(out)]) == 3
     result = json.loads(out.read_text())
     error = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS]) - TRUE
     assert error @ np.linalg.solve(result['covariance'], error) < 24.3  # 0.999 of chi-square, 7
     assert result['counts']['frames'] == 300 and result['method'] == 'bundle'
     assert list(result['intrinsics_sigma']) == list(INTRINSICS_KEYS)
     assert len(result['provenance']['bag_sha256']) == 64
-    assert 'bundle' in capsys.readouterr().out
+    assert result['verdict'] == 'not yet' and not result['converged']
+    assert result['consistency'] and all(each['passed'] for each in result['consistency'])
+    assert result['tolerance']['u0_px'] == 0.1 and 'u0_px' in result['advice']
+    assert result['variance_factor']['centroids'] == pytest.approx(1.0, abs=0.1)
+    said = capsys.readouterr().out
+    assert 'bundle' in said and 'Verdict: not yet' in said and 'scaled' not in said
 
 
-def test_what_is_not_estimated_is_held(bag, tmp_path, capsys):
+def test_what_is_not_estimated_is_held_and_contradicted_where_it_is_wrong(bag, tmp_path, capsys):
     out = tmp_path / 'camera.json'
     assert main(['intrinsics', str(bag), '--method', 'bundle', '--estimate', 'f', 'k1', '--out',
-                 str(out)]) == 0
-    sigma = json.loads(out.read_text())['intrinsics_sigma']
+                 str(out)]) == 4
+    result = json.loads(out.read_text())
+    sigma = result['intrinsics_sigma']
     assert [key for key, value in sigma.items() if value > 0.0] == ['f_mm', 'k1']
-    assert 'held' in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert 'held' in said and 'not to be believed' in said and 'sigma, scaled' in said
+    assert result['verdict'] == 'inconsistent' and result['variance_factor']['f_mm'] > 1.0
+
+
+def test_a_camera_inside_its_tolerances_is_consistent(bag, tmp_path):
+    config = tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(SCENARIO.replace({
+        'estimator.tolerance.principal_point_px': 1.0, 'estimator.tolerance.focal_length_mm': 1e-3,
+        'estimator.tolerance.k1': 1e-5, 'estimator.tolerance.p1': 1e-5,
+        'estimator.tolerance.p2': 1e-5})))
+    assert main(['intrinsics', str(bag), '--config', str(config), '--method', 'bundle']) == 0
 
 
 def test_a_method_that_needs_the_gyro_says_so(bag, capsys):

@@ -137,8 +137,9 @@ def test_a_folder_in_two_calls_is_the_camera_of_the_command(folder, tmp_path):
         name = f'{k:02d}.png' if k % 2 else f'{k:02d}.fits'
         shutil.copy(folder / name, images / name)
     (images / 'text.png').write_text('no image')
+    # There is no aberration in these images: a part in ten thousand, each its own, is noticed.
     assert main(['intrinsics', str(images), '--fov', FOV, '--heldout', '4', '--aberration',
-                 '--out', str(out)]) == 0
+                 '--out', str(out)]) == 4
     source = pipeline.of_folder(images, pipeline.Conditions(float(FOV), aberration=True), 4)
     assert [*source.left_out] == ['text.png']
     assert json.loads(json.dumps(pipeline.calibrate(source).outcome)) == json.loads(
@@ -182,9 +183,10 @@ def test_refraction_biases_a_camera_that_does_not_know_of_it(tmp_path, capsys):
     for k, direction in enumerate(horizontal(20.0, 10)):
         save(images / f'{k}.fits', eye.towards(direction), EPOCH)
     results = []
-    for words in ([], ['--site', '47,8.5,500', '--pressure', '950', '--temperature', '5']):
+    for words, status in (([], 4), (['--site', '47,8.5,500', '--pressure', '950',
+                                     '--temperature', '5'], 0)):
         assert main(['intrinsics', str(images), '--fov', FOV, '--out', str(tmp_path / 'c.json'),
-                     *words]) == 0
+                     *words]) == status
         results.append(json.loads((tmp_path / 'c.json').read_text()))
     without, corrected = results
     assert abs(errors(without)[0]) > 4.0 * without['sigma']['f_px']
@@ -253,18 +255,25 @@ def test_images_of_which_none_can_be_used_are_named(tmp_path, capsys):
     assert 'none of its images can be read: a.png: cannot identify' in capsys.readouterr().err
 
 
-@pytest.mark.parametrize('name, fov, limit, reference', [
-    ('tomc16', '14.3', 0.13, (3230.22, 404.18, 310.87, 0.0907, -0.339, -3.2e-4, 2.3e-4)),
-    ('granasat', '27', 0.14, (2657.86, 657.24, 431.17, -0.0314, 0.596, -7.4e-4, -1.1e-3)),
+@pytest.mark.parametrize('name, fov, limit, culprit, reference', [
+    ('tomc16', '14.3', 0.13, 'mean over the pixel',
+     (3230.22, 404.18, 310.87, 0.0907, -0.339, -3.2e-4, 2.3e-4)),
+    ('granasat', '27', 0.14, 'lens beyond the model',
+     (2657.86, 657.24, 431.17, -0.0314, 0.596, -7.4e-4, -1.1e-3)),
 ])
-def test_real_images_give_the_camera_that_others_found(name, fov, limit, reference, tmp_path):
-    """Every fourth image held out, twice as many stars as in the tables of others."""
+def test_real_images_give_the_camera_that_others_found(
+        name, fov, limit, culprit, reference, tmp_path):
+    """Every fourth image held out, twice as many stars as in the tables of others.
+
+    The spots of the one are narrower than a pixel, and the other has refraction: that is noticed.
+    """
     if not (REAL_SKY / name).is_dir():
         pytest.skip(f'{REAL_SKY / name} is not there')
     out = tmp_path / 'camera.json'
     assert main(['intrinsics', str(REAL_SKY / name), '--fov', fov, '--heldout', '4', '--out',
-                 str(out)]) == 0
+                 str(out)]) == 4
     result = json.loads(out.read_text())
+    assert culprit in {each['name'] for each in result['consistency'] if not each['passed']}
     assert result['heldout_rms_px'] < limit and result['left_out'] == {}
     for key, value in zip(opencv_camera.KEYS, reference):
         assert abs(result[key] - value) < 4.0 * result['sigma'][key], key
