@@ -53,7 +53,8 @@ def read_centroids(path: str | Path, epoch_utc: str) -> StillImages:
     path : path
         CSV with a head: ``image``, ``u``, ``v`` [raster px], ``catalog_id`` (Hipparcos), and
         optionally ``split``, ``fit`` or ``heldout``, the same for all stars of an image, and
-        ``sigma`` of a centroid, right but for a factor that all share [px].
+        ``sigma`` of a centroid, right but for a factor that all share [px]; a factor of more than
+        one and a half is held against the camera (`residual_tests`).
     epoch_utc : str
         Time of the images, for the proper motions, ISO 8601.
 
