@@ -28,7 +28,7 @@ from starcal_ros.core.units import NS
 from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed, turned
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
-from starcal_ros.filter.consistency import Consistency
+from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
 from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
 from starcal_ros.measurements import preintegration
@@ -131,7 +131,7 @@ class Calibrator:
         self._gyro = GyroBuffer()
         self._frames = Frames.empty()                   # that wait for the gyro
         self._newest_frame_ns = NEVER_NS
-        self.consistency = Consistency(
+        self.consistency = ModelTests(
             self.filter, self._scenario.estimator.gate_probability)
         self._rejected_in_a_row = 0
         self._lost = False                              # the attitude, before this frame

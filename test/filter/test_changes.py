@@ -7,7 +7,7 @@ import pytest
 
 from instruments import TAN2018
 from starcal_ros.filter.changes import N_EFFECTS, SLOTS, STRIDE, Changes
-from starcal_ros.filter.consistency import Consistency
+from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.hypotheses import CHANGING, HYPOTHESES
 from starcal_ros.filter.responses import Responses
@@ -122,8 +122,8 @@ def test_the_result_has_the_changes_and_json_can_hold_them():
 
 
 def test_history_is_kept_and_bounded(monkeypatch):
-    monkeypatch.setattr('starcal_ros.filter.consistency.HISTORY', 10)
-    tests = Consistency(Filter(RUN), 0.9999)
+    monkeypatch.setattr('starcal_ros.filter.model_tests.HISTORY', 10)
+    tests = ModelTests(Filter(RUN), 0.9999)
     for stamp_ns in range(1000):
         tests._keep(stamp_ns)
     stamps = [stamp_ns for stamp_ns, _ in tests.history]

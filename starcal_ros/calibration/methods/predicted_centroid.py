@@ -56,7 +56,7 @@ class PredictedCentroid:
         tests = self._calibrator.consistency
         statistics = tests.statistics()
         passed = all(each.passed for each in statistics)
-        factor = 1.0 if passed else max(tests.variance_factors)
+        factor = 1.0 if passed else max(tests.variance_factors())
         return Consistency(statistics, None, (factor,) * 7)
 
     def estimate(self) -> CameraEstimate | None:

@@ -62,7 +62,7 @@ class _Effect(NamedTuple):
     tried: int              # effects of which this is the worst
 
 
-class Consistency:
+class ModelTests:
     """The tests of one run, or of all runs of a batch.
 
     Parameters
