@@ -169,13 +169,15 @@ class Verdict:
             return 'see whether stamps, gaps or the mounting have lost the attitude'
         if said == INCONSISTENT:
             return 'do not believe the sigmas: find what contradicts the model'
-        more = time_text(self.remaining_s)
-        as_it_is = '' if self.motion == FRAMES else 'as it is '
-        parts = [self.motion, as_it_is + more if self.motion and more else '']
+        more = time_text(self.remaining_s) if self.motion else ''
+        if self.motion == FRAMES:
+            parts = [more if np.isinf(self.remaining_s) else FRAMES, more]
+        else:
+            parts = [self.motion, f'as it is {more}' if more else '']
         for reason in dict.fromkeys(self.never.values()):
             names = [name for name, its in self.never.items() if its == reason]
             parts.append(f'never within the tolerance: {", ".join(names)} ({reason})')
-        return '; '.join(filter(None, parts))
+        return '; '.join(dict.fromkeys(filter(None, parts)))
 
     @property
     def summary(self) -> str:

@@ -298,6 +298,22 @@ def test_calibrate_writes_the_result_and_says_where_it_came_from(starcal, bag, t
     assert '40 frames' in done.out and '2000 gyro readings' in done.out
 
 
+def test_data_that_contradict_the_model_are_told_with_their_sigmas_scaled(starcal, tmp_path):
+    """Stars of three times the stated noise: variance 9, sigmas of the camera times 3."""
+    bag, out = tmp_path / 'noisy.mcap', tmp_path / 'r.json'
+    noisy = altered(tmp_path, '    truth:  ', '    truth.star_tracker.centroid_sigma_px: 0.15\n'
+                    '    truth:  ')
+    assert starcal('simulate', '--config', noisy, '--out', bag, '--duration', 60).status == 0
+    done = starcal('calibrate', bag, '--config', noisy, '--out', out)
+    outcome = json.loads(out.read_text())
+    assert done.status == 4 and outcome['verdict'] == 'inconsistent'
+    assert 'the sigmas are not to be believed' in done.out and 'scaled sigma' in done.out
+    failing = [each['name'] for each in outcome['consistency'] if not each['passed']]
+    verdict = done.out[done.out.index('Verdict: inconsistent: '):]
+    assert len(failing) > 1 and all(name in verdict for name in failing)
+    assert outcome['advice'] == 'do not believe the sigmas: find what contradicts the model'
+
+
 def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path):
     """The second run starts where the first ended, as the node would."""
     scenario = TAN2018.replace({'estimator.calibration_directory': str(tmp_path / 'saved'),

@@ -83,11 +83,12 @@ def test_lost_attitude_is_not_converged():
      'rotate about X; as it is 2.3 h more'),
     ({'motion': 'rotate about X', 'remaining_s': np.inf},
      'rotate about X; as it is never at the present rate of gain'),
+    ({'motion': advice.FRAMES, 'remaining_s': np.inf}, 'never at the present rate of gain'),
     ({'motion': '', 'remaining_s': 0.0, 'never': {'u0': 'a', 'k1': 'a'}},
      'never within the tolerance: u0, k1 (a)'),
     ({'motion': advice.FRAMES, 'remaining_s': 60.0, 'never': {'u0': 'a', 'k1': 'b'}},
      'more frames are needed; 60 s more; never within the tolerance: u0 (a); '
-     'never within the tolerance: k1 (b)')], ids=range(7))
+     'never within the tolerance: k1 (b)')], ids=range(8))
 def test_summary_is_one_sentence_with_what_is_wide_and_what_to_do(changes, advice):
     judged = verdict.judge(FILTER, belief_with(sigma={'u0': 1.0, 'k1': 1e-3}))
     judged = replace(judged, **changes)
