@@ -36,7 +36,7 @@ Each imports itself and those before it in this table (``WINGS`` in ``test/test_
     messages        what is on the topics: their names, the conventions of ROS, CDR bytes
     recording       MCAP files and rosbag2 directories, read and written
     results         what a calibration gives: RESULT.json, exports, the store of saved ones
-    workflows       whole calibrations made of the parts: the bootstrap, still images
+    workflows       whole calibrations of the parts: the bootstrap, still images, the live suite
     simulation      the truth and the sensors that see it; `errors` has one error source a file
     evaluation      how good the estimates are: Cramér-Rao bound, consistency, Monte Carlo
     reproduction    the tables and figures of the papers, beside ours

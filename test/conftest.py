@@ -10,7 +10,7 @@ import tempfile
 
 import pytest
 
-from starcal_ros.cli.processes import isolated
+from starcal_ros.workflows.live_run import isolated
 
 _LOGS = tempfile.TemporaryDirectory(prefix='starcal_ros_test_')
 

@@ -14,10 +14,10 @@ import argparse
 from importlib import import_module
 
 import starcal_ros
-from starcal_ros.cli.processes import NodeError
 from starcal_ros.cli.terminal import say
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages.cdr import RecordError
+from starcal_ros.workflows.live_run import NodeError
 
 COMMANDS = ('demo', 'simulate', 'calibrate', 'intrinsics', 'bootstrap', 'montecarlo', 'reproduce',
             'play', 'watch', 'info')

@@ -35,18 +35,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.cli import processes
+    from starcal_ros.workflows import live_run
     scenario = arguments.scenario(
         options, duration_s=options.duration, real_time_factor=options.factor)
     folder = Path(options.out)
-    processes.make_room(folder)
+    live_run.make_room(folder)
     with progress('live run') as on_progress:
-        recording = processes.run_live(scenario, folder, on_progress)
-    calibrator = calibrate_recording(recording, scenario, folder / processes.RESULT,
-                                     folder / processes.FIGURE, folder / processes.REPORT)
-    difference = processes.compare(recording, calibrator)
+        recording = live_run.run_live(scenario, folder, on_progress)
+    calibrator = calibrate_recording(recording, scenario, folder / live_run.RESULT,
+                                     folder / live_run.FIGURE, folder / live_run.REPORT)
+    difference = live_run.compare(recording, calibrator)
     show(f'Live estimator and offline calibration differ by at most {difference:.1e} of the '
          'values.')
-    show(f'In {folder}/: {processes.RECORDING}, {processes.RESULT}, {processes.FIGURE}, '
-         f'{processes.REPORT}')
+    show(f'In {folder}/: {live_run.RECORDING}, {live_run.RESULT}, {live_run.FIGURE}, '
+         f'{live_run.REPORT}')
     return 0 if difference < SAME else 1

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.cli.processes import node_command
+    from starcal_ros.workflows.live_run import node_command
     return subprocess.call(node_command('player', {
         'player.bag': str(options.bag), 'player.rate': options.rate,
         'player.start_offset_s': options.start_offset, 'player.loop': options.loop}))

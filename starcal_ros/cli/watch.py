@@ -18,6 +18,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.cli.processes import node_command
+    from starcal_ros.workflows.live_run import node_command
     command = node_command('watch', {})
     os.execv(command[0], command)       # so that Ctrl-C and the status are the node's own

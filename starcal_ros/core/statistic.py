@@ -45,6 +45,14 @@ class Statistic(NamedTuple):
         return self.low <= self.value <= self.high
 
     @property
+    def excess(self) -> float:
+        """How far the value is outside of its band: as a part of the bound it passed, or 0."""
+        if self.passed:
+            return 0.0
+        bound = self.high if self.value > self.high else self.low
+        return abs(self.value - bound) / max(abs(bound), 1e-300)
+
+    @property
     def sentence(self) -> str:
         """What it is, its band, and since when it is outside of that."""
         since = '' if self.since_ns is None else f', since {utc_text(self.since_ns)}'

@@ -28,8 +28,8 @@ from starcal_ros.core.units import NS
 from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed, turned
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
-from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
+from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.gyro_buffer import GyroBuffer

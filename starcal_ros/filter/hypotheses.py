@@ -52,8 +52,8 @@ class Hypothesis(NamedTuple):
 TIME, SCALE_FACTORS, MISALIGNMENTS, VELOCITY, LENS, PHASE_U, PHASE_V, MAGNITUDE = range(8)
 DRIFTS = slice(8, 12)
 CELL = slice(12, 12 + CELLS * CELLS)
-CHANGING = ('gyro bias', 'mounting, by a turn of the star tracker',
-            'mounting, by a turn of the gyros', 'camera')
+CHANGING = ('gyro bias', 'mounting of the star tracker',
+            'mounting of the gyros', 'camera')
 """What may step or drift. Of the two turns only the first is seen at once."""
 STEP_NUMBERS = (('x deg/h', 'y deg/h', 'z deg/h'), *(('x arcsec', 'y arcsec', 'z arcsec'),) * 2,
                 ('u0 px', 'v0 px', 'f um'))

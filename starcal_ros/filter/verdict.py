@@ -192,8 +192,9 @@ class Verdict:
 
 
 def failures(statistics: Sequence[Statistic]) -> str:
-    """Say which tests fail: the first in full, the others by their names."""
-    first, *others = (each for each in statistics if not each.passed)
+    """Say which tests fail: the clearest in full, the others by their names."""
+    first, *others = sorted((each for each in statistics if not each.passed),
+                            key=lambda each: -each.excess)
     also = f'; also {", ".join(each.name for each in others)}' if others else ''
     return first.sentence + also
 
@@ -214,6 +215,9 @@ def time_text(remaining_s: float) -> str:
 def word(known: bool, tracking: bool, statistics: Sequence[Statistic]) -> str:
     """Return the word for a calibration.
 
+    Without any statistic, as in the first frames, nothing has converged: a covariance that was
+    loaded is not yet seen to be true of these data.
+
     Parameters
     ----------
     known : bool
@@ -227,7 +231,7 @@ def word(known: bool, tracking: bool, statistics: Sequence[Statistic]) -> str:
         return LOST
     if not all(each.passed for each in statistics):
         return INCONSISTENT
-    return CONVERGED if known else NOT_YET
+    return CONVERGED if known and statistics else NOT_YET
 
 
 def of(calibrator: Calibrator, progress: Progress | None = None) -> Verdict:

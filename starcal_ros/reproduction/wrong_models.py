@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.result import word
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
+from starcal_ros.workflows import live_run
 
 Messages = tuple[GyroSamples, Frames]
 
@@ -96,8 +98,7 @@ class Judged(NamedTuple):
     def failed(self) -> tuple[str, ...]:
         """Statistics that failed, the clearest first."""
         found = [each for each in self.calibrator.consistency.statistics() if not each.passed]
-        return tuple(each.name for each in sorted(
-            found, key=lambda each: -abs(each.value) / max(each.high, 1e-300)))
+        return tuple(each.name for each in sorted(found, key=lambda each: -each.excess))
 
 
 def run(model: WrongModel, scenario: Scenario, seed: int) -> Judged:
@@ -132,9 +133,8 @@ def run(model: WrongModel, scenario: Scenario, seed: int) -> Judged:
 
 def late(ms: float) -> WrongModel:
     """Return frames that are stamped late."""
-    def spoil(gyro: GyroSamples, frames: Frames, truth: Truth) -> Messages:
-        return gyro, replace(frames, stamp_ns=frames.stamp_ns + round(ms * 1e6))
-    return WrongModel(f'star stamps {ms:g} ms late', spoil=spoil)
+    return WrongModel(f'star stamps {ms:g} ms late',
+                      {'truth.star_tracker.time_offset_s': 1e-3 * ms})
 
 
 def fast_clock(ppm: float) -> WrongModel:
@@ -293,3 +293,15 @@ ROWS = (
 )
 """What is tabulated. The angular random walk is that of config/tan2018.yaml, 0.001 deg/sqrt(h)."""
 CLEAN = WrongModel('nothing')
+
+
+def live(model: WrongModel, scenario: Scenario, folder: Path) -> str:
+    """Return the verdict of the suite's nodes on a row that needs settings alone.
+
+    Raises
+    ------
+    NodeError
+        Where there is no ROS 2, or a node fails.
+    """
+    return live_run.last_verdict(live_run.run_live(
+        scenario.replace({**model.settings, **model.stated}), folder))

@@ -7,9 +7,9 @@ import pytest
 
 from instruments import TAN2018
 from starcal_ros.filter.changes import N_EFFECTS, SLOTS, STRIDE, Changes
-from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.hypotheses import CHANGING, HYPOTHESES
+from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.responses import Responses
 from starcal_ros.reproduction import wrong_models
 from starcal_ros.results.result import result

@@ -13,9 +13,9 @@ from starcal_ros.core.statistic import ALARM
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR, NS
 from starcal_ros.filter import model_tests
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.filter.model_tests import LEAST
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, largest
 from starcal_ros.filter.innovation_tests import CELLS, cell_of
+from starcal_ros.filter.model_tests import LEAST
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
@@ -112,9 +112,9 @@ CASES = {
     'displacement with the magnitude': (
         {}, moved(lambda uv, frames: along_u(0.02 * (frames.magnitude - 5.0))), [0.02, 0.0]),
     'drift of the gyro bias': ({}, bias_grows, [0.0, 1.0, 0.0]),
-    'drift of the mounting, by a turn of the star tracker': (
+    'drift of the mounting of the star tracker': (
         {}, tracker_turns, [0.0, 0.0, 200.0]),
-    'drift of the mounting, by a turn of the gyros': ({}, gyros_turn, [200.0, 0.0, 0.0]),
+    'drift of the mounting of the gyros': ({}, gyros_turn, [200.0, 0.0, 0.0]),
     'drift of the camera': ({}, camera_grows, [0.0, 0.0, 20.0]),
     'cell 2, 3 of the detector': (
         {}, moved(lambda uv, _: along_u(0.05 * (cell_of(uv, 512.0) == 6))), [0.05, 0.0]),

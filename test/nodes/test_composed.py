@@ -16,7 +16,6 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from instruments import TAN2018, TOP  # noqa: E402
 from peer import PATIENCE_S, Peer  # noqa: E402
-from starcal_ros.cli import processes  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.core.units import ARCSEC, DEG  # noqa: E402
@@ -25,6 +24,7 @@ from starcal_ros.nodes import programs  # noqa: E402
 from starcal_ros.nodes.composed import NODES, node_class  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
+from starcal_ros.workflows import live_run  # noqa: E402
 
 SCENARIO = TAN2018.replace({
     'simulation.duration_s': 60.0, 'simulation.real_time_factor': 0.0,
@@ -56,7 +56,7 @@ def test_all_nodes_in_one_process_lose_nothing_as_fast_as_they_go(start, tmp_pat
     np.testing.assert_array_equal(read.gyro.rate, sensors.gyro(SCENARIO).next(6000).rate)
     assert len(read.frames) == 120
     calibrator, _ = calibrate(read.gyro, read.frames, SCENARIO)
-    assert processes.compare(recording, calibrator) < 1e-9
+    assert live_run.compare(recording, calibrator) < 1e-9
     counts = {topic.topic: topic.count for topic in reader.summary(recording).topics}
     assert (counts['/starcal/imu'], counts['/starcal/state']) == (6000, 120)
 

@@ -24,7 +24,6 @@ import yaml  # noqa: E402
 
 from instruments import PITCH_MM, TAN2018, TOP  # noqa: E402
 from peer import PATIENCE_S  # noqa: E402
-from starcal_ros.cli import processes  # noqa: E402
 from starcal_ros.config import parameter_file, scenario  # noqa: E402
 from starcal_ros.core import rotation  # noqa: E402
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR  # noqa: E402
@@ -37,6 +36,7 @@ from starcal_ros.recording.bag import open_bag  # noqa: E402
 from starcal_ros.recording.writer import typestore  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 from starcal_ros.simulation.truth import Truth  # noqa: E402
+from starcal_ros.workflows import live_run  # noqa: E402
 
 DURATION_S = 60.0
 SCENARIO = TAN2018.replace({
@@ -49,7 +49,7 @@ PROGRESS = []
 @pytest.fixture(scope='module')
 def live(tmp_path_factory):
     """Return the recording of a run of all four nodes."""
-    return processes.run_live(SCENARIO, tmp_path_factory.mktemp('live'), PROGRESS.append)
+    return live_run.run_live(SCENARIO, tmp_path_factory.mktemp('live'), PROGRESS.append)
 
 
 @pytest.fixture(scope='module')
@@ -81,8 +81,8 @@ def test_progress_is_that_of_the_recording(live):
     start_ns = unix_ns(SCENARIO.simulation.start_utc)
     for part in (0.0, 0.25, 1.0):
         stamp_ns = start_ns + round(part * DURATION_S * 1e9)
-        assert processes.part_over(stamp_ns, SCENARIO) == pytest.approx(part)
-    assert processes.part_over(start_ns + 2**50, SCENARIO) == 1.0       # never more than all
+        assert live_run.part_over(stamp_ns, SCENARIO) == pytest.approx(part)
+    assert live_run.part_over(start_ns + 2**50, SCENARIO) == 1.0       # never more than all
 
 
 def test_recording_holds_all_that_the_simulators_made_to_the_bit(recorded):
@@ -98,7 +98,7 @@ def test_recording_holds_all_that_the_simulators_made_to_the_bit(recorded):
 
 
 def test_live_and_offline_estimates_are_the_same_numbers(live, offline):
-    assert processes.compare(live, offline) < 1e-9
+    assert live_run.compare(live, offline) < 1e-9
 
 
 def test_each_frame_gives_one_of_each_result(live):
@@ -345,7 +345,7 @@ def test_replay_gives_the_estimator_the_same_numbers_again(start, parameters, li
         if process is not player:
             process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 0
-    np.testing.assert_array_equal(processes.last_state(copy), processes.last_state(live))
+    np.testing.assert_array_equal(live_run.last_state(copy), live_run.last_state(live))
 
 
 def test_simulation_ends_in_the_same_way_without_anyone_listening(start, parameters):

@@ -17,13 +17,13 @@ from rich.console import Console
 
 from instruments import TAN2018
 from starcal_ros import cli
-from starcal_ros.cli import processes
 from starcal_ros.config import parameter_file
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import N_STATES, STATE_NAMES
 from starcal_ros.messages import conventions
 from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
+from starcal_ros.workflows import live_run
 
 SCENARIO = TAN2018.replace({
     'simulation.duration_s': 20.0, 'simulation.real_time_factor': 0.0,
@@ -133,7 +133,7 @@ def shown(tmp_path_factory):
     parameters = tmp_path_factory.mktemp('watch') / 'scenario.yaml'
     parameters.write_text(parameter_file.dump(SCENARIO))
     estimator, *simulators = (
-        subprocess.Popen(processes.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
+        subprocess.Popen(live_run.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
         for name in ('estimator', 'star_tracker_sim', 'gyro_sim'))
     assert [simulator.wait(PATIENCE_S) for simulator in simulators] == [0, 0]
     ours, theirs = pty.openpty()
@@ -194,7 +194,7 @@ def test_tolerances_are_those_of_the_diagnostics():
 
 
 def test_without_ros_the_command_says_what_is_missing(monkeypatch, capsys):
-    monkeypatch.setattr(processes, 'find_spec', lambda name: None)
+    monkeypatch.setattr(live_run, 'find_spec', lambda name: None)
     assert cli.main(['watch']) == 1
     assert "starcal watch: no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'" \
         in ' '.join(capsys.readouterr().err.split())

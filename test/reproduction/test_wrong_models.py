@@ -33,8 +33,8 @@ NAMED = {
 ANSWERED = {
     'bias step of 1 deg/h': 'gyro bias', 'bias step of 0.1 deg/h': 'gyro bias',
     'focal length step of 5 um': 'camera',
-    'mounting step of 10 arcsec': 'mounting, by a turn of the star tracker',
-    'gyros turned by 10 arcsec': 'mounting, by a turn of the gyros',
+    'mounting step of 10 arcsec': 'mounting of the star tracker',
+    'gyros turned by 10 arcsec': 'mounting of the gyros',
     'focal length +-0.0001 with the orbit': 'camera'}
 """Rows in which something changes on the way."""
 

@@ -178,12 +178,25 @@ def compare(recording: Path, calibrator: Calibrator) -> float:
 
 def last_state(recording: Path) -> Any:
     """Return the data of the last ``starcal/state`` of a recording, None where there is none."""
+    message = _last(recording, topics.STATE)
+    return None if message is None else message.data
+
+
+def last_verdict(recording: Path) -> str:
+    """Return the word of the last ``diagnostics`` of a recording, '' where there is none."""
+    message = _last(recording, topics.DIAGNOSTICS)
+    values = {} if message is None else {
+        value.key: value.value for status in message.status for value in status.values}
+    return str(values.get('verdict', ''))
+
+
+def _last(recording: Path, topic: topics.Topic) -> Any:
+    """Return the last message of a topic, None where there is none."""
     last, bag = None, open_bag(recording)
-    for _, _, messages, _ in bag.messages([topics.STATE.recorded]):
+    for _, _, messages, _ in bag.messages([topic.recorded]):
         last = messages
     if last is None:
         return None
     begin, size = int(last.start[-1]), int(last.size[-1])
     cdr = last.data[begin:begin + size].tobytes()
-    message: Any = typestore().deserialize_cdr(cdr, 'std_msgs/msg/Float64MultiArray')
-    return message.data
+    return typestore().deserialize_cdr(cdr, topic.type_name)
