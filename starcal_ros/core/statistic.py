@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
+
+from scipy.stats import chi2, norm
 
 from starcal_ros.core.utc import utc_text
 
@@ -59,3 +62,15 @@ class Statistic(NamedTuple):
         fits = f' ({self.fits})' if self.fits else ''
         return (f'{self.name} {self.value:.4g}, allowed {self.low:.4g} to {self.high:.4g}{fits}'
                 f'{since}')
+
+
+@lru_cache(maxsize=4096)
+def chi2_beyond(probability: float, freedom: int) -> float:
+    """Return what a chi-square number exceeds with a probability."""
+    return float(chi2.isf(probability, freedom))
+
+
+@lru_cache(maxsize=4096)
+def normal_beyond(probability: float) -> float:
+    """Return what a normal number exceeds with a probability."""
+    return float(norm.isf(probability))

@@ -29,10 +29,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array
-from starcal_ros.core.statistic import ALARM
+from starcal_ros.core.statistic import ALARM, chi2_beyond
 from starcal_ros.core.utc import utc_text
 from starcal_ros.filter.hypotheses import CHANGING, DRIFTS, HYPOTHESES, STEP_NUMBERS, STEPS
 from starcal_ros.filter.responses import Fit, Responses
@@ -232,4 +231,4 @@ class Changes:
 
 def _limit(freedom: int, tried: int) -> float:
     """Return the gain that chance exceeds with the probability ALARM, of all that were tried."""
-    return float(chi2.isf(ALARM / (len(CHANGING) * max(tried, 1)), max(freedom, 1)))
+    return chi2_beyond(ALARM / (len(CHANGING) * max(tried, 1)), max(freedom, 1))

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.kalman import Evidence
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
@@ -100,8 +99,11 @@ def shift(gyro: Preintegrated, before: Nominal, after: Nominal, n_states: int) -
     """
     dt = gyro.duration
     V = np.zeros((*dt.shape, n_states, len(HYPOTHESES), WIDTH))
-    rate = (-rotation.log(after.C_gi @ np.swapaxes(before.C_gi, -1, -2))
-            / np.maximum(dt, 1e-9)[..., None])
+    # C is 1 - [turn x] to first order.
+    C = after.C_gi @ np.swapaxes(before.C_gi, -1, -2)
+    turn = 0.5 * np.stack((C[..., 1, 2] - C[..., 2, 1], C[..., 2, 0] - C[..., 0, 2],
+                           C[..., 0, 1] - C[..., 1, 0]), axis=-1)
+    rate = turn / np.maximum(dt, 1e-9)[..., None]
     # As an error of the bias turns theta, so does what M reads too much (A.2 of `gyro_matrix`).
     B = -(after.C_sg @ gyro.Delta @ gyro.J[..., :3]) * (1e-6 / SCALE[0])
     V[..., THETA, SCALE_FACTORS, :] = B * rate[..., None, :]

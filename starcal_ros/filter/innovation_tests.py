@@ -37,10 +37,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array, Ints
-from starcal_ros.core.statistic import ALARM, Statistic
+from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond, normal_beyond
 
 WINDOW = 120
 """Frames of a window: a minute at 2 Hz."""
@@ -116,7 +116,7 @@ class InnovationTests:
         self._worst = {'turn': 0.0, 'rest': 0.0}        # of all windows, in sigmas
         self._windows = 0
         self._last: Array | None = None
-        self._stars: dict[int, _Star] = {}
+        self._stars = _Stars()
         self._bins = {'cell': _Bins(CELLS * CELLS), 'magnitude': _Bins(len(MAGNITUDES) + 1)}
         self._used = self._rejected = self._losses = 0
 
@@ -130,8 +130,7 @@ class InnovationTests:
         for sums in (self._run, self._window):
             sums.add(frame, self._last)
         self._last = frame.e
-        for number, (u, v) in zip(frame.catalog_id.tolist(), frame.normal.tolist()):
-            self._stars.setdefault(number, _Star()).add(u, v)
+        self._stars.add(frame.catalog_id, frame.normal)
         squares = np.sum(frame.normal**2, axis=-1)
         self._bins['cell'].add(frame.cell, squares)
         known = np.isfinite(frame.magnitude)
@@ -160,27 +159,24 @@ class InnovationTests:
     def statistics(self) -> tuple[Statistic, ...]:
         """Return all tests, of one frame at least."""
         run, n = self._run, self._run.frames
-        far = float(norm.isf(ALARM / 2.0))
-        low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], 3 * n) / (3 * n)
-        found = [
-            ('NIS of the turns', run.turn / (3 * n), low / MARGIN, high * MARGIN, n),
+        far = normal_beyond(ALARM / 2.0)
+        found: list[tuple[str, float, float, float, int]] = [
+            ('NIS of the turns', run.turn / (3 * n), *_band(far, 3 * n), n),
             ('NIS of the rest', run.rest / (run.freedom * self._gated),
-             *chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], run.freedom) / run.freedom
-             * [1.0 / MARGIN, MARGIN], n),
+             *_band(far, run.freedom), n),
             ('mean of the turns', float(np.linalg.norm(run.e)) / np.sqrt(n), 0.0,
-             float(np.sqrt(chi2.isf(ALARM, 3))), n),
+             float(np.sqrt(chi2_beyond(ALARM, 3))), n),
             ('correlation of turns from frame to frame', run.lag / np.sqrt(3.0 * run.pairs or 1.0),
              -far, far, n),
             ('turns along the rate', run.along / np.sqrt(run.rate or 1.0), -far, far, n)]
         if self._windows:
-            far = float(norm.isf(ALARM / 2.0 / self._windows))
+            far = normal_beyond(ALARM / 2.0 / self._windows)
             found += [(f'worst window of the {what}', self._worst[name], -far, far, self._windows)
                       for name, what in (('turn', 'turns'), ('rest', 'rest'))]
-        stars = [star.worst for star in self._stars.values() if star.frames >= _LEAST]
-        if stars:
-            far = float(norm.isf(ALARM / 4.0 / len(stars)))
-            found.append(('displacement of the worst star', max(stars, key=abs), -far, far,
-                          len(stars)))
+        worst, count = self._stars.worst()
+        if count:
+            far = normal_beyond(ALARM / 4.0 / count)
+            found.append(('displacement of the worst star', worst, -far, far, count))
         found += [('share of rejected stars', self._rejected / max(self._used + self._rejected, 1),
                    0.0, REJECTED, self._used + self._rejected),
                   ('losses of the attitude', self._losses, 0.0, LOSSES + n / LOSSES_FRAMES, n)]
@@ -196,7 +192,7 @@ class InnovationTests:
                 deviation = np.array([_beyond(2 * count * each, 2 * count, SCATTER)
                                       for count, each in zip(bins.count[which].tolist(), ratio)])
                 worst = int(np.argmax(np.abs(deviation)))
-                far = float(norm.isf(ALARM / 2.0 / len(which)))
+                far = normal_beyond(ALARM / 2.0 / len(which))
                 yield Statistic(
                     f'scatter in the worst {name}', float(deviation[worst]), -far, far,
                     int(bins.count[which[worst]]),
@@ -241,20 +237,33 @@ class _Sums:
         return _beyond(self.rest / gated, self.freedom)
 
 
-class _Star:
-    """The innovations of one star: how often it was used, and the sums of its coordinates."""
+class _Stars:
+    """The innovations of each star: how often it was used, and the sums of its coordinates."""
 
     def __init__(self) -> None:
-        self.frames, self.u, self.v = 0, 0.0, 0.0
+        self._row: dict[int, int] = {}
+        self._frames, self._sums = np.zeros(64), np.zeros((64, 2))
 
-    def add(self, u: float, v: float) -> None:
-        self.frames, self.u, self.v = self.frames + 1, self.u + u, self.v + v
+    def add(self, catalog_id: Ints, normal: Array) -> None:
+        row = self._row
+        rows = np.array([row.setdefault(number, len(row)) for number in catalog_id.tolist()], int)
+        if len(row) > len(self._frames):
+            more = len(row)                                 # room for twice as many
+            self._frames = np.append(self._frames, np.zeros(more))
+            self._sums = np.append(self._sums, np.zeros((more, 2)), axis=0)
+        np.add.at(self._frames, rows, 1.0)
+        np.add.at(self._sums, rows, normal)
 
-    @property
-    def worst(self) -> float:
-        """The larger of the two sums, as a normal deviate."""
-        worst, root = max(self.u, self.v, key=abs), float(np.sqrt(self.frames))
-        return float(np.sign(worst)) * max(abs(worst) / root - DISPLACED * root, 0.0)
+    def worst(self) -> tuple[float, int]:
+        """Return the sum that is furthest off, as a normal deviate, and of how many stars."""
+        often = self._frames >= _LEAST
+        if not often.any():
+            return 0.0, 0
+        root = np.sqrt(self._frames[often])[:, None]
+        sums = self._sums[often]
+        beyond = np.maximum(np.abs(sums) / root - DISPLACED * root, 0.0)
+        worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        return float(np.copysign(beyond[worst], sums[worst])), int(often.sum())
 
 
 class _Bins:
@@ -288,6 +297,13 @@ def _beyond(value: float, freedom: int, margin: float = MARGIN) -> float:
     """Return the deviate of a chi-square from its margin, 0 inside."""
     return max(_deviate(value / margin, freedom), 0.0) + min(
         _deviate(value * margin, freedom), 0.0)
+
+
+def _band(far: float, freedom: int) -> tuple[float, float]:
+    """Return what a chi-square over its degrees of freedom keeps, with the margin."""
+    part = 2.0 / (9.0 * freedom)
+    low, high = ((1.0 - part + sign * far * np.sqrt(part))**3 for sign in (-1.0, 1.0))
+    return float(max(low, 0.0) / MARGIN), float(high * MARGIN)
 
 
 def _deviate(value: float, freedom: int) -> float:

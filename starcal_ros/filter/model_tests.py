@@ -23,10 +23,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.core.statistic import ALARM, Statistic
+from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
 from starcal_ros.filter import hypotheses
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Change, Changes
@@ -231,7 +230,7 @@ class ModelTests:
             if fit.freedom[k] > 0:
                 yield Statistic(
                     effect.name, float(counted[k]), 0.0,
-                    MARGIN * float(chi2.isf(ALARM / effect.tried, fit.freedom[k])), frames,
+                    MARGIN * chi2_beyond(ALARM / effect.tried, int(fit.freedom[k])), frames,
                     fits=_sizes(effect.numbers, fit, k, float(harm[k])))
 
     def _fitted(self, counted: Array) -> Iterator[_Effect]:
