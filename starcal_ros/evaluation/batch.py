@@ -149,7 +149,7 @@ def follow(scenario: Scenario, seeds: Sequence[int],
             frame, turned = Stars(*(part[:, k, :counts[k]] for part in stars)), None
             acquired = belief is None
             if belief is None:
-                belief, frame = _acquired(filter_, frame)
+                belief, frame = _acquired(filter_, frame, gyro.take(0).reading)
             else:
                 turned = gyro.take(k)
                 strays = filter_.strays(belief.nominal, turned)
@@ -278,9 +278,9 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
     return padded, counts
 
 
-def _acquired(filter_: Filter, frame: Stars) -> tuple[Belief, Stars]:
+def _acquired(filter_: Filter, frame: Stars, reading: Array) -> tuple[Belief, Stars]:
     """Find the attitude of each run and stack the beliefs."""
-    found = [acquire(filter_, None, frame.take(run))
+    found = [acquire(filter_, None, frame.take(run), reading[run])
              for run in range(len(frame.sigma))]
     return _together(found, frame)
 

@@ -37,7 +37,7 @@ from scipy.spatial.transform import Rotation
 from starcal_ros.core import camera, robust, rotation
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.consensus import consensus
-from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.states import LENS
 from starcal_ros.measurements.samples import Stars
@@ -62,7 +62,8 @@ class AcquisitionError(ValueError):
     """The stars of a frame give no attitude; the message says why."""
 
 
-def acquire(filter_: Filter, belief: Belief | None, stars: Stars) -> tuple[Belief, Stars]:
+def acquire(filter_: Filter, belief: Belief | None, stars: Stars,
+            reading: Array = np.zeros(3)) -> tuple[Belief, Stars]:
     """Find the attitude in a frame, for the frame's own update to start from.
 
     Parameters
@@ -73,6 +74,8 @@ def acquire(filter_: Filter, belief: Belief | None, stars: Stars) -> tuple[Belie
         What is known of the calibration; None at the start.
     stars : Stars
         One frame.
+    reading : (3,) array
+        The gyro's reading at its stamp [rad/s]: how far the stars trail.
 
     Returns
     -------
@@ -87,8 +90,10 @@ def acquire(filter_: Filter, belief: Belief | None, stars: Stars) -> tuple[Belie
         Where fewer than MIN_STARS, or than half of the stars, agree.
     """
     known = filter_.begin(np.eye(3)) if belief is None else belief
+    known = replace(known, nominal=replace(known.nominal, reading=reading))
     C_gi, trusted = _look(filter_, known, stars)
     start = filter_.begin(C_gi) if belief is None else filter_.reacquired(belief, C_gi)
+    start = replace(start, nominal=replace(start.nominal, reading=reading))
     found, frame = _fit(filter_, start, start, stars, trusted)
     return found if filter_.feedback else start, frame
 
@@ -166,9 +171,10 @@ def _look(filter_: Filter, known: Belief, stars: Stars) -> tuple[Array, Mask]:
     usable = np.flatnonzero(np.isfinite(stars.sigma))
     r_s = camera.unproject(stars.uv[usable], estimate.intrinsics, pitch_mm)
     # What the camera may do to the place of a star; a shift of all stars changes no angle.
-    _, _, H = camera.linearize(r_s, estimate.intrinsics, pitch_mm)
+    _, H_s, H = camera.linearize(r_s, estimate.intrinsics, pitch_mm)
     spread = np.linalg.norm(H[..., 2:] * known.sigma[LENS][2:], axis=(-2, -1)).max(initial=0.0)
-    wrong_px = 6.0 * spread + 10.0 * stars.sigma[usable].max(initial=0.0)
+    smeared = np.hypot(1.0, np.linalg.norm(filter_.trail(estimate, H_s), axis=-1))
+    wrong_px = 6.0 * spread + 10.0 * (smeared * stars.sigma[usable]).max(initial=0.0)
     agreeing = consensus(stars.u_i[usable], r_s, wrong_px * pitch_mm / estimate.intrinsics[2])
     _require(int(agreeing.sum()), len(usable))
     found, _ = Rotation.align_vectors(r_s[agreeing], stars.u_i[usable][agreeing])
@@ -233,8 +239,7 @@ def _resist(filter_: Filter, prior: Belief, at: Belief, stars: Stars, trusted: M
     """
     belief, scale = at, stars.sigma
     for _ in range(_ROBUST_ITERATIONS):
-        uv, _, _ = filter_.predict_centroids(belief.nominal, stars.u_i)
-        miss = np.linalg.norm(uv - stars.uv, axis=-1)
+        miss = _miss(filter_, belief.nominal, stars)
         scale = np.maximum(robust.scale_of(miss[trusted]), stars.sigma)
         sigma = np.where(trusted, scale * robust.sigma_factor(miss, scale, _WIDTH), np.inf)
         update = filter_.update(belief, stars._replace(sigma=sigma), gated=False)
@@ -243,8 +248,12 @@ def _resist(filter_: Filter, prior: Belief, at: Belief, stars: Stars, trusted: M
         belief = Belief(fitted, fitted.minus(prior.nominal), prior.root)
         if np.abs(step / filter_.scale).max() < 10.0 * _CONVERGED:
             break
-    uv, _, _ = filter_.predict_centroids(belief.nominal, stars.u_i)
-    return trusted & (np.linalg.norm(uv - stars.uv, axis=-1) <= 6.0 * scale)
+    return trusted & (_miss(filter_, belief.nominal, stars) <= 6.0 * scale)
+
+
+def _miss(filter_: Filter, nominal: Nominal, stars: Stars) -> Array:
+    uv, H, _ = filter_.predict_centroids(nominal, stars.u_i)
+    return np.linalg.norm(filter_.whitened(nominal, H, uv - stars.uv)[1], axis=-1)
 
 
 def _relinearised(filter_: Filter, prior: Belief, at: Belief, frame: Stars
@@ -255,13 +264,15 @@ def _relinearised(filter_: Filter, prior: Belief, at: Belief, frame: Stars
         update = filter_.update(belief, frame, gated=False)
         fitted = update.belief.estimate
         step = fitted.minus(belief.nominal)
-        _, H, in_view = filter_.predict_centroids(belief.nominal, frame.u_i)
+        at_last = belief.nominal
+        _, H, in_view = filter_.predict_centroids(at_last, frame.u_i)
         # The error that the prior expects of the new linearisation point.
         belief = Belief(fitted, fitted.minus(prior.nominal), prior.root)
         if np.abs(step / filter_.scale).max() < _CONVERGED:
             break
+    H, residual = filter_.whitened(at_last, H, update.residual)
     M = (H * filter_.scale) @ update.belief.root / frame.sigma[:, None, None]
     left, turned = np.linalg.eigh(np.eye(2) - M @ np.swapaxes(M, -1, -2))
-    r = np.einsum('nji,nj->ni', turned, update.residual) / frame.sigma[:, None]
+    r = np.einsum('nji,nj->ni', turned, residual) / frame.sigma[:, None]
     misfit = np.sum(r * r / np.maximum(left, _LEAST), axis=-1)
     return belief, np.where(in_view, misfit, np.inf)

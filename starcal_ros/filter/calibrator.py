@@ -332,7 +332,7 @@ class Calibrator:
         if belief is not None and not lost:
             return belief, frame
         try:
-            found = acquire(self.filter, belief, frame)
+            found = acquire(self.filter, belief, frame, reading)
         except AcquisitionError as error:
             self._notices.once(
                 'acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
@@ -343,8 +343,7 @@ class Calibrator:
         self.consistency.found()
         if belief is not None and self.counts.acquisitions <= _NAMED:
             self._notices.say(f'attitude lost, found again at {self.stamp_ns} ns')
-        found_belief, frame = found
-        return replace(found_belief, nominal=replace(found_belief.nominal, reading=reading)), frame
+        return found
 
     def _together(self, belief: Belief, frame: Stars, update: Update
                   ) -> tuple[Belief, Stars, Update]:

@@ -37,6 +37,12 @@ attitude is integrated with; here the estimated bias is taken off first.
 Delta is composed for a reference, its first-order correction made for the present bias; where that
 is larger than `LARGEST_CORRECTION` the caller composes afresh for what is believed (`strays`).
 
+While an exposure T lasts a star trails over the detector, with the rate omega_s of the camera at
+the stamp over ``l = H_s omega_s T``. Its photons spread by that beside the spot's own sigma s, so
+that the noise of a centroid grows along the trail (`simulation.errors.smear`) ::
+
+    w ~ N(0, sigma^2 (I + l l' / (12 s^2)))                                            (E.2)
+
 With feedback the nominal values are corrected after each frame and the expected error returns to
 zero, so the linear model stays valid from large initial errors; without it the filter is the
 paper's open-loop one: the nominal values stay and the expected error grows.
@@ -124,6 +130,9 @@ class Filter:
     def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
         options = scenario.estimator
         self.detector = detector(scenario.camera)
+        tracker = scenario.star_tracker
+        self._trail_s = (tracker.exposure_s / (np.sqrt(12.0) * scenario.image.psf_sigma_px)
+                         if tracker.smear else 0.0)
         self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
         self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
         self.gate = star_gate(options)
@@ -282,6 +291,39 @@ class Filter:
             H[..., among] = H_s @ slope[..., None, :, :]
         return uv, H, in_view
 
+    def whitened(self, nominal: Nominal, H: Array, z: Array) -> tuple[Array, Array]:
+        """Return derivatives and residuals of centroids in which their noise has no direction.
+
+        Parameters
+        ----------
+        nominal : Nominal
+            Values, with the reading at the stamp.
+        H : (..., n, 2, 16 + m) array
+            From `predict_centroids`.
+        z : (..., n, 2) array
+            Of the centroids [px].
+
+        Returns
+        -------
+        H, z : arrays
+            G^-1 H and G^-1 z, ``G G' = I + l l' / (12 s^2)`` of Eq. (E.2), G lower triangular.
+        """
+        if not self._trail_s:
+            return H, z
+        a, b = np.moveaxis(self.trail(nominal, H[..., THETA]), -1, 0)
+        inverse = np.zeros((*a.shape, 2, 2))
+        inverse[..., 0, 0] = 1.0 / np.sqrt(1.0 + a * a)
+        inverse[..., 1, 1] = np.sqrt((1.0 + a * a) / (1.0 + a * a + b * b))
+        inverse[..., 1, 0] = -a * b / (1.0 + a * a) * inverse[..., 1, 1]
+        return inverse @ H, _times(inverse, z)
+
+    def trail(self, nominal: Nominal, H_s: Array) -> Array:
+        """Return l / (s sqrt(12)), (..., n, 2), of Eq. (E.2), from H_s (..., n, 2, 3)."""
+        rate_g = _times(nominal.augmentation.gain(nominal.augmented),
+                        nominal.reading - nominal.bias)
+        rate_s = _times(nominal.C_sg, rate_g) * self._trail_s
+        return _times(H_s, rate_s[..., None, :])
+
     @staticmethod
     def _seen(nominal: Nominal) -> tuple[Array, Array, list[tuple[slice, Array]]]:
         """Return the C_si of a frame, what the optional states turn it by, and their slopes."""
@@ -314,8 +356,8 @@ class Filter:
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
         z, scale = uv - stars.uv, belief.nominal.augmentation.scale
-        innovation = kalman.innovate(belief.root, H * scale, z - _apply(H, belief.error),
-                                     stars.sigma)
+        H_white, innovations = self.whitened(belief.nominal, H, z - _apply(H, belief.error))
+        innovation = kalman.innovate(belief.root, H_white * scale, innovations, stars.sigma)
         usable = in_view & np.isfinite(stars.sigma)
         accepted = usable & (innovation.chi2 <= self.gate) if gated else usable
         step, root, nis = kalman.correct(belief.root, innovation, accepted)
@@ -329,8 +371,8 @@ class Filter:
                                 initial=0.0))
         said = None
         if judged:
-            said = kalman.evidence(innovation, H * scale / stars.sigma[..., None, None], accepted,
-                                   root)
+            said = kalman.evidence(
+                innovation, H_white * scale / stars.sigma[..., None, None], accepted, root)
         return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual,
                       spread, said)
 

@@ -47,20 +47,25 @@ SPOT_SIGMA_PX = 0.7
 class Config:
     """Whether stars trail."""
 
-    smear: Annotated[bool, Spec(
+    smear: Annotated[bool | None, Spec(
         'Stars trail while the exposure lasts: a centroid is the mean of the moving image, and '
-        'its noise grows along the trail (smear)')] = False
+        'its noise grows along the trail (smear); left out, as star_tracker.smear says')] = None
+
+
+def _on(scenario: Scenario) -> bool:
+    smear = scenario.truth.of(Config).smear
+    return scenario.star_tracker.smear if smear is None else smear
 
 
 def check(scenario: Scenario) -> None:
     """Raise ConfigError where the trails are too long."""
-    if scenario.truth.of(Config).smear:
+    if _on(scenario):
         check_trails('truth.star_tracker.smear', scenario)
 
 
 def images(scenario: Scenario) -> Callable[[ImagedStars], ImagedStars] | None:
     """Return the function that smears the images of stars, or None where it is off."""
-    return _smeared if scenario.truth.of(Config).smear else None
+    return _smeared if _on(scenario) else None
 
 
 def _smeared(images: ImagedStars) -> ImagedStars:
