@@ -75,7 +75,7 @@ from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, SCALE, THE
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
-_FIELD = 1.5            # a star may be predicted this far out, in half diagonals
+_FIELD = 1.5            # a star may be predicted this far out, in halves of the detector
 
 SIGMA_ACQUIRED = 1.0 * DEG
 """Attitude sigma given to a first fix: wide against its error, so that the frame's own update,
@@ -151,8 +151,8 @@ class Filter:
         if covariance is not None:
             self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
                 covariance / np.outer(SCALE[CALIBRATED], SCALE[CALIBRATED]))
-        half = 0.5 * np.hypot(self.detector.width, self.detector.height) * self.detector.pitch_mm
-        self._cos_field = float(np.cos(np.arctan(_FIELD * half / scenario.camera.focal_length_mm)))
+        self._cos_field = float(np.cos(camera.field_of_view(
+            self.detector, self.start.intrinsics, _FIELD).radius))
 
     def begin(self, C_gi: Array) -> Belief:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""

@@ -367,6 +367,19 @@ def test_sigmas_are_true_while_stars_trail(filtered):
         assert np.sum(runs.nis) / np.sum(runs.nis_degrees) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.parametrize('settings', [
+    {'camera.focal_length_mm': 4.0, 'camera.distortion': (-0.02, 2e-4, 1e-4, -1e-4)},
+    {'camera.principal_point_px': (900.0, 0.0)}], ids=['strong barrel', 'far principal point'])
+def test_stars_over_the_whole_detector_are_in_view(settings):
+    """A pinhole with its axis in the middle ends before the corners of these."""
+    filter_ = Filter(TAN2018.replace(settings))
+    half = np.array([filter_.detector.width, filter_.detector.height]) / 2.0
+    uv = half * np.stack(np.meshgrid(*2 * (np.linspace(-1.0, 1.0, 21),)), axis=-1).reshape(-1, 2)
+    r_s = camera.unproject(uv, filter_.start.intrinsics, filter_.detector.pitch_mm)
+    _, _, in_view = filter_.predict_centroids(filter_.start, r_s @ filter_.start.C_si)
+    assert in_view.all()
+
+
 def test_chi_square_of_a_star_is_its_innovation_in_units_of_its_own_covariance():
     truth = some_values()
     belief = Belief(truth, np.zeros(16), 0.01 * some_root())
@@ -439,9 +452,9 @@ def test_star_far_outside_the_field_is_not_used_however_uncertain_the_lens(off_a
 
 @pytest.mark.parametrize('toward', [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8)])
 def test_star_is_in_view_up_to_one_and_a_half_half_diagonals(toward):
-    """1024 x 1024 pixels: 1.5 * 512 sqrt(2) of them, by the nominal focal length."""
+    """1024 x 1024 pixels: 1.5 * 512 sqrt(2) of them, by the nominal camera, to a hundredth."""
     nominal, reach = some_values(), 1.5 * 512.0 * np.sqrt(2.0) * PITCH_MM / 25.5
-    tangents = np.array([[0.999], [1.001]]) * reach * np.array(toward)
+    tangents = np.array([[0.98], [1.04]]) * reach * np.array(toward)
     u_i = np.column_stack((tangents, np.ones(2))) @ nominal.C_si
     assert FILTER.predict_centroids(nominal, u_i)[2].tolist() == [True, False]
 
