@@ -162,6 +162,12 @@ class Changes:
         between = (starts[2:] - starts[:-2]) / (now_ns - starts[1:-1])
         return int(order[1 + int(np.argmin(between))])
 
+    def place(self, state: int, age_s: float) -> int:
+        """Return the effect that is a step of a state, the candidate nearest to an age."""
+        ages = 1e-9 * (max(self._starts, default=0) - np.array(self._starts, np.float64))
+        slot = int(np.argmin(np.abs(ages - age_s))) if len(ages) else 0
+        return _FIRST + slot * len(CHANGING) + state
+
     def find(self, now_ns: int, fit: Fit, responses: Responses, noise_as_stated: bool
              ) -> Answer | None:
         """Return what has changed and what follows; None for nothing that can be told.

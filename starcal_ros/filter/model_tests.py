@@ -19,7 +19,7 @@ a gap) are passed over: there the linear model is not good to what is asked here
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -52,13 +52,25 @@ _BLIND = 1e-10              # information on a turn that a frame has none of, of
 _STEP_LARGEST = 1e6
 
 
-class _Effect(NamedTuple):
-    """An effect that was fitted."""
+class Effect(NamedTuple):
+    """An effect that is fitted.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    numbers : tuple of str
+        Its numbers, with their units.
+    place : int
+        Among all.
+    tried : int
+        Number of effects of which this is the worst.
+    """
 
     name: str
     numbers: tuple[str, ...]
-    place: int              # among all
-    tried: int              # effects of which this is the worst
+    place: int
+    tried: int
 
 
 class ModelTests:
@@ -219,6 +231,27 @@ class ModelTests:
         return self._tests[run].variance_factors if self._tests[run].frames >= LEAST else (
             1.0, 1.0)
 
+    def limits(self) -> Iterator[tuple[Effect, Array]]:
+        """Yield each steady effect and the sizes, one a number, from which on it is found.
+
+        In half of all runs that are like this one so far; infinite where it can not be told.
+        """
+        fit = self._responses.fit(next(iter(self._tests)))
+        for effect in self._fitted(np.zeros(len(fit.gain)))[:CELL.start + 1]:
+            yield effect, self._limit(effect, fit, effect.place)
+
+    def step_limits(self, ages_s: Sequence[float]) -> Iterator[tuple[Effect, Array]]:
+        """Yield each step and the sizes, (ages, numbers), from which on it is found by an age."""
+        fit = self._responses.fit(next(iter(self._tests)))
+        for state, effect in enumerate(self._fitted(np.zeros(len(fit.gain)))[CELL.start + 1:]):
+            places = [self._changes.place(state, age_s) for age_s in ages_s]
+            yield effect, np.stack([self._limit(effect, fit, place) for place in places])
+
+    @staticmethod
+    def _limit(effect: Effect, fit: Fit, place: int) -> Array:
+        bound = MARGIN * chi2_beyond(ALARM / effect.tried, max(int(fit.freedom[place]), 1))
+        return np.asarray(fit.sigma[place][:len(effect.numbers)] * np.sqrt(bound))
+
     def _effects(self, run: tuple[int, ...], frames: int) -> Iterator[Statistic]:
         fit = self._responses.fit(run)
         shifted = np.einsum('ngk,gk->gn', self._responses.E[run].reshape(
@@ -233,20 +266,21 @@ class ModelTests:
                     MARGIN * chi2_beyond(ALARM / effect.tried, int(fit.freedom[k])), frames,
                     fits=_sizes(effect.numbers, fit, k, float(harm[k])))
 
-    def _fitted(self, counted: Array) -> Iterator[_Effect]:
-        """Yield the effects to be told, of those of one kind the worst."""
-        for k, each in enumerate(HYPOTHESES[:CELL.start]):
-            yield _Effect(each.name, each.numbers, k, 1)
+    def _fitted(self, counted: Array) -> list[Effect]:
+        """Return the effects to be told, of those of one kind the worst."""
+        found = [Effect(each.name, each.numbers, k, 1)
+                 for k, each in enumerate(HYPOTHESES[:CELL.start])]
         cell = CELL.start + int(np.argmax(counted[CELL]))
-        yield _Effect('displacement in the worst cell', tuple(
+        found.append(Effect('displacement in the worst cell', tuple(
             f'{name} {cell_name(cell - CELL.start)}' for name in HYPOTHESES[cell].numbers), cell,
-            CELL.stop - CELL.start)
+            CELL.stop - CELL.start))
         for state, (name, numbers) in enumerate(zip(CHANGING, STEP_NUMBERS)):
             places = len(HYPOTHESES) + state + len(CHANGING) * np.arange(
                 N_EFFECTS // len(CHANGING))
-            yield _Effect(f'step of the {name}', numbers,
-                          int(places[np.argmax(counted[places])]),
-                          len(CHANGING) * max(self._changes.begun, 1))
+            found.append(Effect(f'step of the {name}', numbers,
+                                int(places[np.argmax(counted[places])]),
+                                len(CHANGING) * max(self._changes.begun, 1)))
+        return found
 
 
 def _sizes(numbers: tuple[str, ...], fit: Fit, k: int, harm: float) -> str:
