@@ -135,7 +135,8 @@ def _interval(filter_: Filter, now: Nominal, rates: Array) -> Preintegrated:
     J = dt * rotation.right_jacobian(-measured * dt)
     if now.augmentation.needs_matrix:       # J_r dt (I kron omega')
         J = np.concatenate((J, (J[..., None] * measured[:, None, None]).reshape(k, 3, 9)), axis=-1)
-    return Preintegrated(rotation.exp(-measured * dt), J, np.full(k, dt), np.zeros(k), readings)
+    return Preintegrated(rotation.exp(-measured * dt), J, np.full(k, dt), np.zeros(k), readings,
+                         filter_.start.bias)
 
 
 def _look(filter_: Filter, nominal: Nominal) -> Array:
@@ -145,5 +146,6 @@ def _look(filter_: Filter, nominal: Nominal) -> Array:
     uv = half * np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     r_s = camera.unproject(uv, nominal.intrinsics[0], filter_.detector.pitch_mm)
     _, H, _ = filter_.predict_centroids(nominal, r_s @ nominal.C_si)
+    H, _ = filter_.whitened(nominal, H, np.zeros(H.shape[:-1]))
     H = H * (nominal.augmentation.scale / _LOOK_PX)
     return np.asarray(np.linalg.qr(H.reshape(len(H), -1, H.shape[-1]), mode='r'), np.float64)

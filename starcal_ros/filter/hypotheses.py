@@ -112,7 +112,7 @@ def shift(gyro: Preintegrated, before: Nominal, after: Nominal, n_states: int) -
                                                 + B[..., j] * rate[..., i, None])
     V[..., :len(SCALE), DRIFTS, :] = -np.swapaxes(STEPS, 0, 1) * (
         dt[..., None, None, None] / _HOUR)
-    return V.reshape(*V.shape[:-2], -1)
+    return V.reshape(*V.shape[:-2], WIDTH * len(HYPOTHESES))
 
 
 class Sight(NamedTuple):
@@ -178,4 +178,4 @@ def direct(said: Evidence, predicted: Nominal, sight: Sight) -> Array:
     number = np.repeat(CELL.start + cell_of(sight.uv, sight.half), 2, axis=-1)
     for column, whitened in enumerate((along_u, along_v)):
         np.put_along_axis(d[..., column], number[..., None], whitened[..., None], axis=-1)
-    return d.reshape(*said.z.shape, -1)
+    return d.reshape(*said.z.shape, WIDTH * len(HYPOTHESES))

@@ -104,7 +104,8 @@ class Responses:
         W = said.half(both)
         self.E -= said.root @ W[..., :-1]
         gain = np.swapaxes(both, -1, -2) @ both[..., -1:] - np.swapaxes(W, -1, -2) @ W[..., -1:]
-        D, W = (np.moveaxis(part.reshape(*part.shape[:-1], -1, WIDTH), -2, -3)
+        effects = self._largest.shape[0]
+        D, W = (np.moveaxis(part.reshape(*part.shape[:-1], effects, WIDTH), -2, -3)
                 for part in (D, W[..., :-1]))
         information = np.swapaxes(D, -1, -2) @ D - np.swapaxes(W, -1, -2) @ W
         self._s += np.where(judged[..., None, None],

@@ -188,6 +188,8 @@ class Verdict:
             return f'{LOST}: most stars are rejected'
         if self.word == INCONSISTENT:
             return f'{INCONSISTENT}: {failures(self.statistics)}'
+        if not self.outside:
+            return f'{NOT_YET}: too few frames have tested the model'
         return f'{NOT_YET}: {", ".join(self.outside)}; {self.advice}'
 
 

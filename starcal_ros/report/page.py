@@ -17,12 +17,14 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.statistic import Statistic
+from starcal_ros.core.utc import utc_text
 from starcal_ros.filter.ambiguity import NAMES
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.verdict import INCONSISTENT, Verdict
 from starcal_ros.report import detector_charts, statistic_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
-from starcal_ros.report.states import DOUBT, LABELS, SCALED, Row, rows, short, summary
+from starcal_ros.report.states import (DOUBT, LABELS, SCALED, UNITS, Row, at_frame, rows, short,
+                                       summary)
 
 _LABEL = {name: name.replace('_', ' ') for name in NAMES[:3]} | dict(zip(NAMES[3:], LABELS))
 
@@ -67,7 +69,8 @@ def html(calibration: Calibration) -> str:
     outcome = calibration.outcome
     title = f'Calibration of {outcome["provenance"]["bag"]}'
     return document(
-        title, _verdict(calibration), _states(calibration), _convergence(calibration),
+        title, _verdict(calibration), _states(calibration), _changes(calibration),
+        _convergence(calibration),
         _residuals(calibration), _consistency(calibration), _distortion(calibration),
         _coupling(calibration), _counts(calibration), _provenance(calibration))
 
@@ -112,6 +115,26 @@ def _states(calibration: Calibration) -> str:
             rows(calibration.outcome, calibration.truth), calibration.verdict.states)]),
         paragraph('Fixed angles are in degrees, their sigma, error and tolerance in arc seconds. '
                   'Tolerances are those of the configuration, estimator.tolerance.'))
+
+
+def _changes(calibration: Calibration) -> str:
+    """Return the stretches between the changes that were seen; nothing without any."""
+    changes, history = calibration.outcome['changes'], calibration.history
+    if not changes:
+        return ''
+    # The last frame before each change, and the last of all.
+    ends = [max(int(np.searchsorted(history.stamp_ns, change['since_ns'])) - 1, 0)
+            for change in changes if change['kind'] == 'step'] + [len(history.stamp_ns) - 1]
+    stretches = [at_frame(history, row) for row in ends]
+    body = [[LABELS[k], UNITS[k], *(
+        f'{each.places(each.estimate)} ± {short(each.sigma)}'
+        for each in (stretch[k] for stretch in stretches))] for k in range(len(LABELS))]
+    head = ['state', 'unit', *(f'up to {utc_text(int(history.stamp_ns[row]))}' for row in ends)]
+    return section(
+        'changes', 'Changes',
+        items([f'A {change["sentence"]}.' for change in changes]),
+        paragraph('What was estimated up to each step, and at the end:') if ends[1:] else '',
+        table(head, body) if ends[1:] else '')
 
 
 def _convergence(calibration: Calibration) -> str:

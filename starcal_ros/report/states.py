@@ -73,6 +73,15 @@ def rows(result: dict[str, Any], truth: dict[str, Any] | None) -> list[Row]:
                                      (sigma * _scale(result)).tolist())]
 
 
+def at_frame(history: History, row: int) -> list[Row]:
+    """Return the 13 calibrated states after a frame of a history."""
+    values = [*(history.bias[row] / UNIT[EPSILON]),
+              *np.degrees(rotation.to_fixed_angles(history.C_sg[row])), *history.intrinsics[row]]
+    sigma = history.sigma[row][CALIBRATED] / UNIT[CALIBRATED]
+    return [Row(label, unit, np.nan, float(value), np.nan, float(each))
+            for label, unit, value, each in zip(LABELS, UNITS, values, sigma)]
+
+
 def _scale(result: dict[str, Any]) -> Array:
     """Return by how much to scale each sigma, (13,); NaN where they are to be believed.
 

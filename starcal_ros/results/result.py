@@ -96,7 +96,7 @@ def result(calibrator: Calibrator, provenance: dict[str, str],
         'converged': judged.converged,
         'consistency': [{**each._asdict(), 'passed': each.passed} for each in judged.statistics],
         'variance_factor': {'turns': turns, 'centroids': centroids},
-        'changes': [{**change._asdict(), 'sigma': [
+        'changes': [{**change._asdict(), 'what': list(change.what), 'sigma': [
             sigma if np.isfinite(sigma) else None for sigma in change.sigma],
             'sentence': change.sentence} for change in calibrator.consistency.changes],
         'tolerance': {

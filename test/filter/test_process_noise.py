@@ -146,6 +146,7 @@ class Walking:
 
     def __init__(self, name, density, seconds, seed, modelled=True):
         scenario = TAN2018.replace({'simulation.duration_s': seconds, 'simulation.seed': seed,
+                                    'estimator.answer_changes': False,
                                     **({GROUP + name: density} if modelled else {})})
         rng = np.random.default_rng([20180314, seed])
         self.calibrator = Calibrator(scenario)

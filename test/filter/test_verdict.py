@@ -63,8 +63,15 @@ def test_states_are_the_13_calibrated_ones_in_their_units():
     assert judged.outside == ('psi_x',) and not judged.converged
 
 
+def test_nothing_has_converged_before_the_model_was_tested():
+    judged = verdict.judge(FILTER, belief_with())
+    assert judged.outside == () and judged.word == 'not yet'
+    assert judged.summary == 'not yet: too few frames have tested the model'
+
+
 def test_all_within_is_converged_however_coupled():
-    judged = verdict.judge(FILTER, belief_with(correlation={('u0', 'psi_y'): 0.999}))
+    judged = verdict.judge(FILTER, belief_with(correlation={('u0', 'psi_y'): 0.999}),
+                           statistics=(Statistic('NIS', 1.0, 0.5, 1.5, 100),))
     assert judged.converged and judged.summary == 'converged'
     assert judged.couplings == () and judged.motion == '' and judged.advice == ''
 
@@ -188,7 +195,7 @@ def run():
         when = (frame.stamp_ns - start_ns) / 1e9
         if when in (AT_REST, 120.0, 300.0):
             verdicts[when] = verdict.judge(calibrator.filter, frame.belief)
-    verdicts['end'] = verdict.judge(calibrator.filter, calibrator.belief, calibrator.tracking)
+    verdicts['end'] = verdict.of(calibrator)
     return verdicts, calibrator
 
 

@@ -73,7 +73,7 @@ def test_advice_and_time_to_go_are_those_of_the_verdict(values, calibrator):
 
 
 def test_principal_point_and_residuals_have_a_number_for_each_axis(values, calibrator):
-    judged = verdict.judge(calibrator.filter, calibrator.belief, calibrator.tracking)
+    judged = verdict.of(calibrator)
     for name, expected in (
             ('sigma_equivalent_principal_point_{}_px', judged.equivalent_sigma_px),
             ('reprojection_rms_{}_px', calibrator.reprojection_rms_px)):

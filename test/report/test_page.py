@@ -27,13 +27,14 @@ from starcal_ros.recording import reader
 from starcal_ros.report import detector_charts, statistic_charts, time_charts
 from starcal_ros.report.chart import BLUE, RED
 from starcal_ros.report.page import Calibration, html
+from starcal_ros.reproduction import wrong_models
 from starcal_ros.results import result
 from starcal_ros.simulation import sensors
 
 SHORT = TAN2018.replace({'simulation.duration_s': 150.0})
 SECTIONS = ['verdict', 'states', 'convergence', 'residuals', 'consistency', 'distortion',
             'coupling', 'counts', 'provenance']
-CHARTS = 13 + 3 + 8 + 1 + 4 + 3
+CHARTS = 13 + 3 + 29 + 1 + 4 + 3
 """States; map and histograms; tests of the innovations; NIS; distortion; coupling."""
 HOSTILE = '<img src=x onerror=alert(1)>&"\'.mcap'
 HOSTILE_FILE = '</pre><script>alert(2)</script>.mcap'
@@ -233,7 +234,8 @@ def test_without_truth_the_page_does_without_it(made, tmp_path):
     page = Page((tmp_path / 'r.html').read_text())
     assert 'truth' not in page.rows('states')[0]
     assert 'Estimate minus final estimate' in page.all('section')[2]['text']
-    assert len(page.all('figcaption')) == CHARTS - 2 - 2    # nor is there a whole window
+    told = len(json.loads((tmp_path / 'r.json').read_text())['consistency'])
+    assert told < 29 and len(page.all('figcaption')) == CHARTS - 2 - 29 + told
 
 
 def test_notices_are_on_the_page(made, tmp_path):
@@ -273,10 +275,27 @@ def test_convergence_has_a_chart_a_state_with_its_bound(history):
         assert (np.abs(error.y) < upper.y * 2.0).mean() > 0.9, STATE_NAMES[3 + k]
 
 
+def test_a_step_parts_the_run_into_stretches():
+    scenario = TAN2018.replace({'simulation.duration_s': 420.0, 'motion.dwell_s': 5.0})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    samples, frames = wrong_models.focal_step(5.0).spoil(
+        gyro.next(gyro.count), tracker.next(tracker.count), tracker.truth)
+    calibrator, history = calibrate(samples, frames, scenario)
+    outcome = result.result(calibrator, {'bag': 'spoilt.mcap'})
+    page = Page(html(Calibration(outcome, None, history, verdict.of(calibrator), scenario, [])))
+    section = next(each['text'] for each in page.all('section') if 'Changes' in each['text'])
+    assert 'A step of the camera at 2026-07-02T12:03:29' in section
+    head, *rows = page.rows('changes')
+    assert len(head) == 4 and head[2].startswith('up to 2026-07-02T12:03:')
+    _, _, before, after = next(row for row in rows if row[0] == 'f')
+    before, after = (float(cell.split(' ±')[0]) for cell in (before, after))
+    assert after - before == pytest.approx(0.005, abs=0.0005)
+
+
 def test_equivalent_principal_point_is_drawn_with_the_sigma_of_the_verdict(history):
     gyro, tracker = sensors.gyro(SHORT), sensors.star_tracker(SHORT)
     calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
-    judged = verdict.judge(calibrator.filter, calibrator.belief)
+    judged = verdict.of(calibrator)
     charts = time_charts.equivalent_principal_point(history, None, PITCH_MM)
     for chart, sigma in zip(charts, judged.equivalent_sigma_px):
         assert chart.figure.data[1].y[-1] == pytest.approx(3.0 * sigma, rel=1e-5)
@@ -323,9 +342,9 @@ def test_each_test_of_the_innovations_has_its_history_the_failing_ones_first():
 
 def test_page_tells_how_many_tests_fail(page):
     said, = [e['text'] for e in page.all('section') if e['id'] == 'consistency']
-    assert 'All 8 tests of the innovations pass. ' in said
+    assert 'All 29 tests of the innovations pass. ' in said
     captions = [e['text'] for e in page.all('figcaption', 'consistency')]
-    assert len(captions) == 9 and captions[0].startswith('NIS of the turns ')
+    assert len(captions) == 30 and captions[0].startswith('NIS of the turns ')
 
 
 def test_history_has_the_residuals_of_every_star(history):
