@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
+import dataclasses
 from pathlib import Path
 
 from starcal_ros.cli import arguments
@@ -27,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--sweep', metavar='KEY=V1,V2,…',
                         help='a parameter and the values that it takes one after the other')
     arguments.add_duration(parser)
+    parser.add_argument('--verdicts', action='store_true',
+                        help='judge each run as starcal calibrate does, which takes as long again')
     parser.add_argument('--out', metavar='SUMMARY.json', default='montecarlo.json',
                         help='summary to write; all runs go into an .npz file beside it '
                         '(default: %(default)s)')
@@ -38,7 +41,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.evaluation import montecarlo
     scenario = arguments.scenario(options, duration_s=options.duration)
-    study = montecarlo.MonteCarlo.of(scenario, options.runs, options.sweep)
+    study = dataclasses.replace(
+        montecarlo.MonteCarlo.of(scenario, options.runs, options.sweep), judged=options.verdicts)
     out = Path(options.out)
     arguments.require_writable(out)
     parts = out.with_name(out.name + '.parts')

@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
@@ -26,7 +27,9 @@ from starcal_ros.filter.augmentation import NONE, Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter, Update
-from starcal_ros.filter.states import N_STATES, PHI
+from starcal_ros.filter.model_tests import ModelTests
+from starcal_ros.filter.states import CALIBRATED, N_STATES, PHI
+from starcal_ros.filter.verdict import word
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import SIGMA_PX
@@ -63,6 +66,11 @@ class Runs:
         RMS of phi over the second half of the run [rad].
     reprojection_rms : (n, 2) array
         RMS of measured minus predicted centroids over the last ten minutes [px].
+    verdict : (n,) str array
+        What the tests of the model, and the tolerances, make of each run; '' where they were not
+        judged.
+    failed : (n,) str array
+        Names of the tests that fail, with '; ' between them.
     """
 
     seed: Ints
@@ -74,6 +82,8 @@ class Runs:
     nis_degrees: Array
     attitude_rms: Array
     reprojection_rms: Array
+    verdict: NDArray[np.str_]
+    failed: NDArray[np.str_]
 
     @classmethod
     def concatenate(cls, parts: Sequence[Runs]) -> Runs:
@@ -98,7 +108,15 @@ class BatchFrame(NamedTuple):
     predicted : Belief
         Before the frame.
     update : Update
-        What the frame did.
+        What the frame did, with its evidence where the runs are judged.
+    before : Nominal or None
+        At the beginning of the interval; None at the first frame.
+    transition : Array or None
+        Of the scaled errors over it.
+    catalog_id : (runs, n) int64 array
+        Of the stars.
+    magnitude : (runs, n) array
+        NaN where it is not known.
     """
 
     number: int
@@ -107,10 +125,15 @@ class BatchFrame(NamedTuple):
     stars: Stars
     predicted: Belief
     update: Update
+    before: Nominal | None
+    transition: Array | None
+    catalog_id: Ints
+    magnitude: Array
 
 
 def run_batch(scenario: Scenario, seeds: Sequence[int],
-              on_progress: Callable[[float], None] = lambda part: None) -> Runs:
+              on_progress: Callable[[float], None] = lambda part: None,
+              judged: bool = False) -> Runs:
     """Simulate and estimate one scenario with several seeds.
 
     Parameters
@@ -121,16 +144,18 @@ def run_batch(scenario: Scenario, seeds: Sequence[int],
         One for each run.
     on_progress : callable
         Called with the part done, 0 to 1.
+    judged : bool
+        Test the model in each run as a calibrator does, which takes as long again.
     """
-    tally = _Tally(TrueRuns.of(scenario, seeds), frame_count(scenario),
-                   scenario.star_tracker.rate_hz)
-    for step in follow(scenario, seeds, on_progress):
+    tally = _Tally(TrueRuns.of(scenario, seeds), frame_count(scenario), scenario, judged)
+    for step in follow(scenario, seeds, on_progress, judged):
         tally.add(step)
     return tally.runs()
 
 
 def follow(scenario: Scenario, seeds: Sequence[int],
-           on_progress: Callable[[float], None] = lambda part: None) -> Iterator[BatchFrame]:
+           on_progress: Callable[[float], None] = lambda part: None, judged: bool = False
+           ) -> Iterator[BatchFrame]:
     """Simulate and estimate as `run_batch` does, and give what each frame does."""
     runs = [scenario.replace({'simulation.seed': int(seed)}) for seed in seeds]
     trackers = [sensors.star_tracker(run) for run in runs]
@@ -141,13 +166,13 @@ def follow(scenario: Scenario, seeds: Sequence[int],
     for done in range(0, trackers[0].count, _CHUNK):
         frames = [tracker.next(_CHUNK) for tracker in trackers]
         stamps = frames[0].stamp_ns
-        stars, counts = _padded(frames, scenario, filter_)
+        stars, numbers, magnitudes, counts = _padded(frames, scenario, filter_)
         cuts = np.concatenate((cut_ns or stamps[:1], stamps))
         gyro = Preintegrated.stacked([g.preintegrate(cuts, filter_.start) for g in gyros], axis=1)
         cut_ns = [int(stamps[-1])]
         for k, stamp_ns in enumerate(stamps.tolist()):
             frame, turned = Stars(*(part[:, k, :counts[k]] for part in stars)), None
-            acquired = belief is None
+            acquired, before, transition = belief is None, None, None
             if belief is None:
                 belief, frame = _acquired(filter_, frame, gyro.take(0).reading)
             else:
@@ -157,12 +182,14 @@ def follow(scenario: Scenario, seeds: Sequence[int],
                     turned = Preintegrated.stacked([
                         g.again(cuts[k:k + 2], belief.nominal.of_run(run)).take(0)
                         if strays[run] else turned.take(run) for run, g in enumerate(gyros)])
-                belief = filter_.propagate(belief, turned)
-            update = filter_.update(belief, frame)
+                before = belief.nominal
+                belief, transition = filter_.propagated(belief, turned)
+            update = filter_.update(belief, frame, judged=judged)
             if not acquired and (update.spread > WIDE).any():
                 belief, frame = _agreed(filter_, belief, frame, update.spread > WIDE)
-                update = filter_.update(belief, frame)
-            yield BatchFrame(done + k, stamp_ns, turned, frame, belief, update)
+                update = filter_.update(belief, frame, judged=judged)
+            yield BatchFrame(done + k, stamp_ns, turned, frame, belief, update, before,
+                             transition, numbers[:, k, :counts[k]], magnitudes[:, k, :counts[k]])
             belief = update.belief
         on_progress(min(1.0, (done + _CHUNK) / trackers[0].count))
 
@@ -252,15 +279,16 @@ class _Gyro:
 
 
 def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
-            ) -> tuple[Stars, Ints]:
+            ) -> tuple[Stars, Ints, Array, Ints]:
     """Return the stars of all runs, (runs, frames, n, ...), and how many each frame has at most.
 
-    Places that a frame does not fill have an infinite sigma.
+    Places that a frame does not fill have an infinite sigma. Numbers and magnitudes stand between.
     """
     counts = np.stack([part.star_counts for part in frames]).max(axis=0)
     shape = (len(frames), len(counts), int(counts.max(initial=0)))
     padded = Stars(np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3)).copy(), np.zeros((*shape, 2)),
                    np.full(shape, np.inf))
+    numbers, magnitudes = np.zeros(shape, np.int64), np.full(shape, np.nan)
     u_i: Array = np.empty((0, 3))
     for run, part in enumerate(frames):
         known = run > 0 and np.array_equal(part.catalog_id, frames[run - 1].catalog_id)
@@ -271,11 +299,12 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
                                   observer(scenario.observer))
         k = part.frame_index
         rank = np.arange(len(k)) - part.first[k]
+        numbers[run, k, rank], magnitudes[run, k, rank] = part.catalog_id, part.magnitude
         padded.u_i[run, k, rank] = u_i
         padded.uv[run, k, rank] = part.uv_raster - filter_.detector.centre_raster
         sigma = np.where(part.sigma > 0.0, part.sigma, scenario.star_tracker.centroid_sigma_px)
         padded.sigma[run, k, rank] = np.where(row >= 0, np.maximum(sigma, SIGMA_PX[0]), np.inf)
-    return padded, counts
+    return padded, numbers, magnitudes, counts
 
 
 def _acquired(filter_: Filter, frame: Stars, reading: Array) -> tuple[Belief, Stars]:
@@ -299,8 +328,12 @@ def _together(found: Sequence[tuple[Belief, Stars]], frame: Stars) -> tuple[Beli
 class _Tally:
     """Collects what `Runs` holds."""
 
-    def __init__(self, truth: TrueRuns, frames: int, rate_hz: float) -> None:
+    def __init__(self, truth: TrueRuns, frames: int, scenario: Scenario, judged: bool) -> None:
+        rate_hz = scenario.star_tracker.rate_hz
         self._truth, self._frames = truth, frames
+        self._filter = Filter(scenario)
+        self._tests = ModelTests(self._filter, scenario.estimator.gate_probability,
+                                 (len(truth.seeds),)) if judged else None
         self._every = max(1, min(round(RECORD_S * rate_hz), frames // 20))
         self._last_minutes = frames - round(REPROJECTION_S * rate_hz)
         n = len(truth.seeds)
@@ -314,6 +347,8 @@ class _Tally:
     def add(self, step: BatchFrame) -> None:
         """Take what one frame gave."""
         update, number = step.update, step.number
+        if self._tests is not None:
+            _test(self._tests, step)
         self._nis += update.nis
         self._degrees += 2.0 * update.accepted.sum(axis=-1)
         if number >= self._last_minutes:
@@ -336,9 +371,30 @@ class _Tally:
     def runs(self) -> Runs:
         """Return it all."""
         n = len(self._truth.seeds)
+        verdict, failed = self._judged(n)
         half = self._frames - (self._frames + 1) // 2
         return Runs(np.array(self._truth.seeds, np.int64), np.tile(self._time, (n, 1)),
                     np.stack(self._error, axis=1), np.stack(self._sigma, axis=1),
                     np.stack(self._nees, axis=1), self._nis, self._degrees,
                     np.sqrt(self._phi / max(half, 1)),
-                    np.sqrt(self._squares / np.maximum(self._used, 1.0)[:, None]))
+                    np.sqrt(self._squares / np.maximum(self._used, 1.0)[:, None]),
+                    verdict, failed)
+
+    def _judged(self, n: int) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
+        """Return the verdict on each run and the tests that fail."""
+        if self._tests is None:
+            return np.full(n, ''), np.full(n, '')
+        tests = [self._tests.statistics((run,)) for run in range(n)]
+        known = (self._sigma[-1][:, CALIBRATED] <= self._filter.tolerance).all(axis=-1)
+        return (np.array([word(bool(inside), True, each) for inside, each in zip(known, tests)]),
+                np.array(['; '.join(test.name for test in each if not test.passed)
+                          for each in tests]))
+
+
+def _test(tests: ModelTests, step: BatchFrame) -> None:
+    """Tell the tests of the model of a frame."""
+    if step.before is not None and step.gyro is not None and step.transition is not None:
+        tests.carry(step.gyro, step.before, step.predicted.nominal, step.transition)
+    tests.meet(step.stamp_ns, step.predicted.nominal, step.stars, step.update, step.catalog_id,
+               step.magnitude)
+    tests.candidate(step.stamp_ns)

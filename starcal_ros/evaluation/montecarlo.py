@@ -9,6 +9,7 @@ there, so that a killed study goes on where it was.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 import json
@@ -49,12 +50,15 @@ class MonteCarlo:
         Parameter that is swept, '' for none.
     values : tuple
         Its values; one None where nothing is swept.
+    judged : bool
+        Whether each run gets a verdict.
     """
 
     scenario: Scenario
     runs: int
     key: str = ''
     values: tuple[Any, ...] = (None,)
+    judged: bool = False
 
     @classmethod
     def of(cls, scenario: Scenario, runs: int, sweep: str | None) -> MonteCarlo:
@@ -119,9 +123,11 @@ def run(study: MonteCarlo, parts: Path, jobs: int = -1, backend: str = 'loky',
         One for each value.
     """
     parts.mkdir(parents=True, exist_ok=True)
-    tasks = [(study.at(value), seeds) for value in study.values for seeds in study.seeds()]
+    tasks = [(study.at(value), seeds, study.judged)
+             for value in study.values for seeds in study.seeds()]
     names = [parts / f'{scenario.replace({"simulation.seed": 0}).sha256[:16]}'
-             f'_{seeds[0]}_{len(seeds)}.npz' for scenario, seeds in tasks]
+             f'_{seeds[0]}_{len(seeds)}{"_judged" if study.judged else ""}.npz'
+             for scenario, seeds, _ in tasks]
     complete(names, _task, tasks, jobs, backend, on_progress)
     batches = [_load(name) for name in names]
     each = len(study.seeds())
@@ -159,8 +165,8 @@ def _numbered(index: int, task: Callable[..., dict[str, NDArray[Any]]],
     return index, task(*arguments)
 
 
-def _task(scenario: Scenario, seeds: Sequence[int]) -> dict[str, NDArray[Any]]:
-    batch = run_batch(scenario, seeds)
+def _task(scenario: Scenario, seeds: Sequence[int], judged: bool) -> dict[str, NDArray[Any]]:
+    batch = run_batch(scenario, seeds, judged=judged)
     return {field.name: getattr(batch, field.name) for field in fields(Runs)}
 
 
@@ -225,6 +231,9 @@ def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:
         'nis_mean': float(runs.nis.sum() / degrees),
         'nis_interval_95': list(nis),
         'ratio_interval_95': list(ratio),
+        'verdicts': dict(Counter(word for word in runs.verdict.tolist() if word)),
+        'failed_tests': dict(Counter(
+            name for each in runs.failed.tolist() for name in each.split('; ') if name)),
         'attitude_rms_arcsec': (np.sqrt(np.mean(runs.attitude_rms**2, axis=0))
                                 / UNIT[0]).tolist(),
         'reprojection_rms_px': np.sqrt(np.mean(runs.reprojection_rms**2, axis=0)).tolist(),

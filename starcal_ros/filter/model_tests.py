@@ -191,6 +191,14 @@ class ModelTests:
 
     # Going out
 
+    def candidate(self, stamp_ns: int) -> None:
+        """Let a candidate for a step begin where one is due, without an answer to any.
+
+        To be called after each frame of a batch.
+        """
+        if self._changes.due(stamp_ns):
+            self._changes.begin(stamp_ns, False, self._responses)
+
     def answer(self, stamp_ns: int, wanted: bool = True) -> Answer | None:
         """Return what has changed and what follows for the filter, of one run; mostly None.
 

@@ -22,7 +22,9 @@ def study(point: dict[str, Any], title: str) -> Table:
         f'NEES {point["nees_mean"]:.2f} of {point["nees_degrees"]} states '
         f'(95 %: {interval("nees_interval_95")}), '
         f'NIS {point["nis_mean"]:.4f} (95 %: {interval("nis_interval_95")}), '
-        f'ratio 95 %: {interval("ratio_interval_95")}'))
+        f'ratio 95 %: {interval("ratio_interval_95")}'
+        + ''.join(f'; {word}: {count}' for word, count in point['verdicts'].items())
+        + ''.join(f'; {name} fails in {count}' for name, count in point['failed_tests'].items())))
     for column in ('state', 'unit', 'RMS', 'bound', 'ratio', 'stated sigma', 'prior'):
         out.add_column(column, justify='left' if column in ('state', 'unit') else 'right',
                        overflow='fold')

@@ -16,6 +16,7 @@ from starcal_ros.evaluation import montecarlo
 from starcal_ros.evaluation.batch import Runs, run_batch
 from starcal_ros.evaluation.montecarlo import BATCH, MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
+from starcal_ros.reproduction import wrong_models
 
 SCENARIO = TAN2018.replace({'simulation.duration_s': 20.0})
 STUDY = MonteCarlo.of(SCENARIO, BATCH + 3, 'star_tracker.centroid_sigma_px=0.05,0.1')
@@ -23,6 +24,9 @@ STUDY = MonteCarlo.of(SCENARIO, BATCH + 3, 'star_tracker.centroid_sigma_px=0.05,
 
 def assert_same(runs, expected):
     for field in fields(Runs):
+        if getattr(expected, field.name).dtype.kind == 'U':
+            assert getattr(runs, field.name).tolist() == getattr(expected, field.name).tolist()
+            continue
         np.testing.assert_allclose(getattr(runs, field.name), getattr(expected, field.name),
                                    rtol=1e-9, err_msg=field.name)
 
@@ -45,6 +49,25 @@ def test_swept_parameter_counts(results):
     """Twice the noise: the camera is known half as well, in T18's Table 4 and here."""
     fine, coarse = (runs.sigma[:, -1, 11].mean() for runs in results)
     assert coarse / fine == pytest.approx(2.0, rel=0.1)
+
+
+def test_runs_are_judged_as_a_calibrator_judges_each():
+    scenario = SCENARIO.replace({'simulation.duration_s': 90.0, 'motion.dwell_s': 5.0,
+                                 'estimator.answer_changes': False,
+                                 'truth.gyro.arw_deg_sqrt_h': 0.01})
+    runs = run_batch(scenario, [1, 2, 3], judged=True)
+    assert runs.verdict.tolist() == ['inconsistent'] * 3
+    for seed, failed in zip(runs.seed.tolist(), runs.failed.tolist()):
+        alone = wrong_models.run(wrong_models.WrongModel('walk x 10', {
+            'truth.gyro.arw_deg_sqrt_h': 0.01}), scenario, seed)
+        assert set(failed.split('; ')) == set(alone.failed)
+        assert 'NIS of the turns' in failed
+    summary = montecarlo.summarize(scenario, runs)
+    assert summary['verdicts'] == {'inconsistent': 3}
+    assert summary['failed_tests']['NIS of the turns'] == 3
+    plain = run_batch(scenario, [1, 2, 3])
+    np.testing.assert_array_equal(plain.error, runs.error)
+    assert plain.verdict.tolist() == [''] * 3
 
 
 def test_interrupted_study_goes_on_where_it_was(results, tmp_path):
