@@ -5,12 +5,19 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
+from starcal_ros.cli.terminal import say
 from starcal_ros.config import parameter_file
+from starcal_ros.config.instrument import CameraConfig, MountingConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.shipped import config_file
+
+SIMULATORS = ('star_tracker_sim', 'gyro_sim')
+SIMULATED = (*SIMULATORS, 'estimator')
+"""The nodes that simulation commands stand for, without and with what estimates."""
 
 
 def add_bag(parser: argparse.ArgumentParser) -> None:
@@ -18,11 +25,15 @@ def add_bag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', metavar='BAG', help='.mcap file or rosbag2 directory')
 
 
-def add_config(parser: argparse.ArgumentParser) -> None:
-    """Add ``--config``, for `scenario`."""
+def add_config(parser: argparse.ArgumentParser, recorded: bool = False) -> None:
+    """Add ``--config`` and ``--namespace``, for `scenario`, or for `scenario_of` a recording."""
+    default = 'that of the recording' if recorded else 'the shipped tan2018.yaml'
     parser.add_argument(
         '--config', metavar='FILE', help='parameter file of the scenario (ROS 2 parameters, '
-        '/**: ros__parameters:); default: the shipped tan2018.yaml')
+        f'/**: ros__parameters:); default: {default}')
+    parser.add_argument(
+        '--namespace', metavar='NS', help='namespace of the node whose sections of the file are '
+        'read; default: that of the only section with its name, or the root')
 
 
 def add_duration(parser: argparse.ArgumentParser) -> None:
@@ -31,20 +42,68 @@ def add_duration(parser: argparse.ArgumentParser) -> None:
                         help='simulated seconds, in place of simulation.duration_s')
 
 
-def scenario(options: argparse.Namespace, **values: object) -> Scenario:
+def scenario(options: argparse.Namespace, nodes: Sequence[str], **values: object) -> Scenario:
     """Return the scenario of ``--config``; values that are not None replace its parameters.
 
     Parameters
     ----------
     options : Namespace
-        With ``config``.
+        With ``config`` and ``namespace``.
+    nodes : sequence of str
+        The nodes that the command stands for.
     values
         Parameters of the group ``simulation``, by name.
     """
-    path = options.config or config_file('tan2018.yaml')
+    reading = parameter_file.read_file(options.config or config_file('tan2018.yaml'), nodes,
+                                       options.namespace)
     given = {key: value for key, value in values.items() if value is not None}
-    return parameter_file.load(path).replace(
-        {f'simulation.{key}': value for key, value in given.items()})
+    return _said(reading).replace({f'simulation.{key}': value for key, value in given.items()})
+
+
+def scenario_of(bag: str | Path, options: argparse.Namespace, nodes: Sequence[str]) -> Scenario:
+    """Return the scenario of ``--config``, or else the one that a recording carries.
+
+    Parameters
+    ----------
+    bag : path
+        The recording.
+    options : Namespace
+        With ``config`` and ``namespace``.
+    nodes : sequence of str
+        The nodes that the command stands for.
+
+    Raises
+    ------
+    ConfigError
+        Where there is neither, or the recorded one states no instrument.
+    """
+    if options.config:
+        return scenario(options, nodes)
+    from starcal_ros.recording.bag import open_bag
+    from starcal_ros.recording.reader import CONFIG_ATTACHMENT
+    attached = open_bag(Path(bag)).attachments.get(CONFIG_ATTACHMENT)
+    needed = ('--config FILE is needed: a parameter file that states camera, mounting and gyro, '
+              f'written as {config_file("tan2018.yaml")} is')
+    if attached is None:
+        raise ConfigError(f'{bag} carries no configuration; {needed}')
+    name = f'{CONFIG_ATTACHMENT} in {bag}'
+    try:
+        reading = parameter_file.read(attached.decode(errors='replace'), name, nodes,
+                                      options.namespace)
+    except ConfigError as error:
+        raise ConfigError(f'{error}; --config FILE takes its place') from None
+    own = reading.scenario
+    if (own.camera, own.mounting) == (CameraConfig(), MountingConfig()):
+        # As of a recorder that was started without a parameter file.
+        raise ConfigError(f'{name} states neither camera nor mounting; {needed}')
+    say(f'configuration: {name}')
+    return _said(reading)
+
+
+def _said(reading: parameter_file.Reading) -> Scenario:
+    for text in reading.notices:
+        say(f'warning: {text}')
+    return reading.scenario
 
 
 def require_writable(path: Path) -> None:

@@ -19,11 +19,13 @@ DESCRIPTION = ('Calibrate a recording of which only the focal length is known, t
                'one found, on frames of its own. Where there are images and no centroids, the '
                'stars are measured in them. Needs the extra identify.')
 
+_NODES = ('estimator', 'intrinsics_estimator', 'centroid_extractor', 'star_identifier')
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
-    arguments.add_config(parser)
+    arguments.add_config(parser, recorded=True)
     parser.add_argument('--images', action='store_true',
                         help='measure the stars in star_tracker/image_raw even where the '
                         'recording has centroids')
@@ -33,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    scenario = arguments.scenario(options)
+    scenario = arguments.scenario_of(options.bag, options, _NODES)
     out = Path(options.out) if options.out else None
     if out is not None:
         arguments.require_writable(out)

@@ -27,7 +27,7 @@ _INSTRUMENTS = ('camera.', 'mounting.', 'gyro.', 'star_tracker.', 'observer.')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
-    arguments.add_config(parser)
+    arguments.add_config(parser, recorded=True)
     parser.add_argument('--out', metavar='RESULT.json', required=True, help='result to write')
     parser.add_argument('--figure', metavar='PNG', help='draw the convergence of the estimates')
     parser.add_argument('--report', metavar='HTML',
@@ -39,8 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    scenario = arguments.scenario_of(options.bag, options, ('estimator',))
     calibrator = calibrate_recording(
-        options.bag, arguments.scenario(options), Path(options.out),
+        options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
         Path(options.report) if options.report else None,
         Path(options.export) if options.export else None)

@@ -37,7 +37,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.workflows import live_run
     scenario = arguments.scenario(
-        options, duration_s=options.duration, real_time_factor=options.factor)
+        options, (*arguments.SIMULATED, 'recorder'), duration_s=options.duration,
+        real_time_factor=options.factor)
     folder = Path(options.out)
     live_run.make_room(folder)
     with progress('live run') as on_progress:

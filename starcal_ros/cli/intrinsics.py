@@ -30,6 +30,7 @@ DESCRIPTION = ('Calibrate the camera alone, from what the stars are to each othe
 
 _OPTIONS = ('method', 'estimate', 'weighting', 'combination_model', 'singular_values',
             'interstar_equations')
+_NODES = ('intrinsics_estimator', 'centroid_extractor')
 _BATCHES = 50       # in which the frames are handed over, for the sake of the progress bar
 
 
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes: the sources, and each parameter of the group ``intrinsics``."""
     parser.add_argument('source', metavar='BAG|IMAGES', nargs='?',
                         help='.mcap file or rosbag2 directory, or a folder of images of the sky')
-    arguments.add_config(parser)
+    arguments.add_config(parser, recorded=True)
     parser.add_argument('--out', metavar='RESULT.json', help='result to write')
     choices = {'method': calibration.names(), 'estimate': list(INTRINSICS)}
     for name in _OPTIONS:
@@ -90,7 +91,7 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
-    scenario = arguments.scenario(options).replace(_given(options))
+    scenario = arguments.scenario_of(options.source, options, _NODES).replace(_given(options))
     method = calibration.start(scenario)
     from starcal_ros import report
     from starcal_ros.recording import reader

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.evaluation import montecarlo
-    scenario = arguments.scenario(options, duration_s=options.duration)
+    scenario = arguments.scenario(options, arguments.SIMULATED, duration_s=options.duration)
     study = dataclasses.replace(
         montecarlo.MonteCarlo.of(scenario, options.runs, options.sweep), judged=options.verdicts)
     out = Path(options.out)

@@ -46,7 +46,7 @@ def _provenance(name: str, options: argparse.Namespace, scenario: Scenario) -> d
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    scenario = arguments.scenario(options, duration_s=options.duration)
+    scenario = arguments.scenario(options, arguments.SIMULATED, duration_s=options.duration)
     out = Path(options.out)
     arguments.require_writable(out)
     parts = out.with_name(out.name + '.parts')

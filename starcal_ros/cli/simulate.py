@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.simulation.write_recording import simulate
-    scenario = arguments.scenario(options, duration_s=options.duration, seed=options.seed)
+    scenario = arguments.scenario(options, arguments.SIMULATORS, duration_s=options.duration,
+                                  seed=options.seed)
     with progress('simulating') as on_progress:
         simulate(scenario, options.out, options.overwrite, on_progress)
     return 0

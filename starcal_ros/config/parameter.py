@@ -18,7 +18,17 @@ from typing import Any, Union
 
 
 class ConfigError(ValueError):
-    """A parameter is unknown, of the wrong type or impossible; the message names it."""
+    """Parameters are unknown, of the wrong type or impossible; the message names them.
+
+    Parameters
+    ----------
+    errors : str
+        Each is a line of the message.
+    """
+
+    def __init__(self, *errors: str) -> None:
+        super().__init__('\n'.join(errors))
+        self.errors = errors
 
 
 @dataclass(frozen=True)

@@ -1,51 +1,86 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios as ROS 2 parameter files, read as rcl reads them."""
+"""Scenarios as ROS 2 parameter files, read as the nodes would that the reader stands for.
+
+The sections of a file are for nodes (`rcl_yaml`). A command stands for one node, or for several
+that share one scenario, in one namespace: that of the file where it names the node in one only.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+import difflib
 from pathlib import Path
-import re
 from typing import Any
 
 import yaml
 
+from starcal_ros.config import rcl_yaml
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.config.rcl_yaml import Section
 from starcal_ros.config.scenario import Scenario, from_flat
 
-
-def _flatten(tree: Mapping[Any, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flatten(value, f'{prefix}{name}.')
-        else:
-            yield f'{prefix}{name}', value
+NODES = ('star_tracker_sim', 'gyro_sim', 'estimator', 'intrinsics_estimator',
+         'centroid_extractor', 'star_identifier', 'recorder', 'player')
+"""The nodes of the suite that have parameters."""
 
 
-def parse(text: str, source: str) -> Scenario:
-    """Read a ROS 2 parameter file from its text; `source` is named in errors."""
+@dataclass(frozen=True)
+class Reading:
+    """A scenario, and what a user should know of the file that it was read from."""
+
+    scenario: Scenario
+    notices: tuple[str, ...]
+
+
+def read(text: str, source: str, nodes: Sequence[str] = ('estimator',),
+         namespace: str | None = None) -> Reading:
+    """Read a ROS 2 parameter file from its text.
+
+    Parameters
+    ----------
+    text : str
+    source : str
+        Is named in errors.
+    nodes : sequence of str
+        Whose parameters are wanted; all must have the same.
+    namespace : str, optional
+        Of these nodes; without it that of the only section which names one of them, or the root.
+
+    Raises
+    ------
+    ConfigError
+        With all that is wrong.
+    """
     try:
-        document = yaml.load(text, Loader=_Loader)
+        sections, errors = rcl_yaml.read(text)
     except yaml.YAMLError as error:
         where = getattr(error, 'problem_mark', None)
         line = f', line {where.line + 1}' if where else ''
         raise ConfigError(f'{source}{line}: not YAML: '
-                          f'{getattr(error, "problem", error)}') from None
-    try:
-        tree = document['/**']['ros__parameters']
-        values = dict(_flatten(tree))
-    except (TypeError, KeyError, AttributeError):
+                          f'{getattr(error, "problem", None) or error}') from None
+    if not sections:
         raise ConfigError(f'{source}: not a ROS 2 parameter file, needs "/**:" with '
-                          '"ros__parameters:" below it') from None
+                          f'"{rcl_yaml.PARAMETERS}:" below it')
+    if namespace is None:
+        namespace = _namespace(sections, nodes, source)
+    prefix = '/' + namespace.strip('/') + '/' if namespace.strip('/') else '/'
+    names = [prefix + node for node in nodes]
+    values = _joined(sections, names, errors)
     try:
-        return from_flat(values)
+        scenario = from_flat(values)
     except ConfigError as error:
-        raise ConfigError(f'{source}: {error}') from None
+        errors += error.errors
+    if errors:
+        raise ConfigError(f'{source}: {errors[0]}' if len(errors) == 1 else '\n  '.join(
+            [f'{source}: {len(errors)} errors:', *errors]))
+    return Reading(scenario, tuple(_notices(sections, names, scenario, source)))
 
 
-def load(path: str | Path) -> Scenario:
-    """Read a scenario from a ROS 2 parameter file.
+def read_file(path: str | Path, nodes: Sequence[str] = ('estimator',),
+              namespace: str | None = None) -> Reading:
+    """Read a ROS 2 parameter file, as `read` does.
 
     Raises
     ------
@@ -57,7 +92,65 @@ def load(path: str | Path) -> Scenario:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else 'not a text file'
         raise ConfigError(f'{path}: cannot be read: {reason}') from None
-    return parse(text, str(path))
+    return read(text, str(path), nodes, namespace)
+
+
+def parse(text: str, source: str) -> Scenario:
+    """Return the scenario of the estimator from the text of a file, as `read` does."""
+    return read(text, source).scenario
+
+
+def load(path: str | Path) -> Scenario:
+    """Return the scenario of the estimator from a file, as `read_file` does."""
+    return read_file(path).scenario
+
+
+def _namespace(sections: Sequence[Section], nodes: Sequence[str], source: str) -> str:
+    found = sorted({section.namespace for section in sections
+                    if section.node in nodes and section.namespace is not None})
+    if len(found) > 1:
+        raise ConfigError(f'{source}: has sections for {" or ".join(nodes)} in the namespaces '
+                          f'{", ".join(found)}; --namespace tells which is meant')
+    return found[0] if found else '/'
+
+
+def _joined(sections: Sequence[Section], names: Sequence[str], errors: list[str]
+            ) -> dict[str, Any]:
+    """Return what the nodes are told, by dotted name; they must be told the same."""
+    told: dict[str, dict[str, Any]] = {name: {} for name in names}
+    for section in sections:
+        for name in names:
+            if section.matches(name):
+                told[name].update(section.values)
+    joined: dict[str, Any] = {}
+    by: dict[str, str] = {}
+    for name, values in told.items():
+        for key, value in values.items():
+            if repr(joined.setdefault(key, value)) != repr(value):
+                errors.append(f'{key}: is {joined[key]} for {by[key]} and {value} for {name}, '
+                              'which must agree here')
+            by.setdefault(key, name)
+    return joined
+
+
+def _notices(sections: Sequence[Section], names: Sequence[str], scenario: Scenario, source: str
+             ) -> Iterator[str]:
+    if names[0].count('/') > 1:
+        yield f'{source} is read for {" and ".join(names)}'
+    nodes = {name.rpartition('/')[2] for name in names}
+    for section in sections:
+        if any(map(section.matches, names)) or section.node in NODES and section.node not in nodes:
+            continue
+        near = difflib.get_close_matches(section.node, NODES, n=1, cutoff=0.8)
+        if section.node in nodes or '*' in section.node:
+            yield (f'{source}: the section {section.name} is not for {" and ".join(names)}; '
+                   '--namespace names another namespace')
+        elif near:
+            yield f'{source}: the section {section.name} is not read; did you mean {near[0]}?'
+    mounting = scenario.mounting
+    if mounting.fixed_angles_deg is None and mounting.quaternion_xyzw is None:
+        yield (f'{source} leaves out the mounting: the axes of the gyro are taken for those of '
+               'the star tracker (mounting.fixed_angles_deg: [0.0, 0.0, 0.0])')
 
 
 def dump(scenario: Scenario) -> str:
@@ -73,14 +166,6 @@ def dump(scenario: Scenario) -> str:
         branch[name] = [_quoted(item) for item in value] if isinstance(value, tuple) else (
             _quoted(value))
     return yaml.dump({'/**': {'ros__parameters': tree}}, Dumper=_Dumper, sort_keys=False)
-
-
-class _Loader(yaml.SafeLoader):                         # type: ignore[misc]  # no hints
-    """With the floats of YAML 1.2, which rcl reads: 1e-3 has no point and no sign in YAML 1.1."""
-
-
-_Loader.add_implicit_resolver('tag:yaml.org,2002:float', re.compile(
-    r'[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$'), list('-+.0123456789'))
 
 
 class _Quoted(str):

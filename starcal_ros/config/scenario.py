@@ -13,7 +13,7 @@ they add to them; nothing that estimates reads it. The errors are found by name 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 import dataclasses
 from dataclasses import dataclass, field
 import difflib
@@ -85,9 +85,10 @@ class Scenario:
     player: PlayerConfig = field(default_factory=PlayerConfig)
 
     def __post_init__(self) -> None:
-        for key, parameter in parameters().items():
-            parameter.check(key, _get(self, key))
-        _check_together(self)
+        errors = [text for key, parameter in parameters().items()
+                  for text in _errors(parameter.check, key, _get(self, key))]
+        if errors or (errors := list(_check_together(self))):
+            raise ConfigError(*errors)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # By value: the classes of the group truth are made where the error sources are found.
@@ -134,23 +135,49 @@ def from_flat(values: Mapping[str, Any]) -> Scenario:
     Raises
     ------
     ConfigError
-        For an unknown name, a wrong type or an impossible value.
+        For each unknown name, wrong type or impossible value.
     """
     known = parameters()
     tree: dict[str, Any] = {}
+    errors: list[str] = []
+    wrong: set[str] = set()             # groups with an error, of which more would follow
     for key, value in values.items():
         if key.startswith(ROS_OWN):
             continue
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1)
             hint = f'; did you mean {near[0]}?' if near else ''
-            raise ConfigError(f'{key}: unknown parameter{hint}')
+            errors.append(f'{key}: unknown parameter{hint}')
+            continue
         *path, name = key.split('.')
+        try:
+            converted = known[key].convert(key, value)
+            known[key].check(key, converted)
+        except ConfigError as error:
+            errors += error.errors
+            wrong.add('.'.join(path))
+            continue
         branch = tree
         for part in path:
             branch = branch.setdefault(part, {})
-        branch[name] = known[key].convert(key, value)
-    return typing.cast(Scenario, _replace(Scenario(), tree))
+        branch[name] = converted
+    try:
+        scenario = typing.cast(Scenario, _replace(Scenario(), tree))
+    except ConfigError as error:
+        errors += [text for text in error.errors
+                   if not {(key := text.partition(':')[0]), key.rpartition('.')[0]} & wrong]
+    if errors:
+        raise ConfigError(*errors)
+    return scenario
+
+
+def _errors(check: Callable[..., object], *arguments: Any) -> tuple[str, ...]:
+    """Return what a check says."""
+    try:
+        check(*arguments)
+    except ConfigError as error:
+        return error.errors
+    return ()
 
 
 def _replace(default: Any, tree: Mapping[str, Any]) -> Any:
@@ -159,31 +186,32 @@ def _replace(default: Any, tree: Mapping[str, Any]) -> Any:
         for name, value in tree.items()})
 
 
-def _check_together(scenario: Scenario) -> None:
+def _check_together(scenario: Scenario) -> Iterator[str]:
+    """Yield the errors of values that do not go together."""
     for name, mounting in (('mounting', scenario.mounting),
                            ('truth.mounting', scenario.truth.mounting)):
         if mounting.fixed_angles_deg is not None and mounting.quaternion_xyzw is not None:
-            raise ConfigError(f'{name}: fixed_angles_deg and quaternion_xyzw are both given, '
-                              'one is allowed')
+            yield (f'{name}: fixed_angles_deg and quaternion_xyzw are both given, '
+                   'one is allowed')
     for key in ('mounting.quaternion_xyzw', 'truth.mounting.quaternion_xyzw',
                 'motion.initial_quaternion_xyzw'):
         value = _get(scenario, key)
         if value is not None and abs(math.hypot(*value) - 1.0) > 1e-6:
-            raise ConfigError(f'{key}: got norm {math.hypot(*value):.9g}, a quaternion has norm 1')
+            yield f'{key}: got norm {math.hypot(*value):.9g}, a quaternion has norm 1'
     motion = scenario.motion
     if not motion.axes or len(motion.axes) != len(motion.angles_deg):
-        raise ConfigError(f'motion.angles_deg: got {len(motion.angles_deg)} angles for '
-                          f'{len(motion.axes)} axes, needs as many, and at least one')
+        yield (f'motion.angles_deg: got {len(motion.angles_deg)} angles for '
+               f'{len(motion.axes)} axes, needs as many, and at least one')
     if motion.dwell_s == 0.0 and not any(motion.angles_deg):
-        raise ConfigError('motion.dwell_s: got 0.0 and no angle but 0, needs a dwell or an angle')
+        yield 'motion.dwell_s: got 0.0 and no angle but 0, needs a dwell or an angle'
     for source in sources():
         if hasattr(source, 'check'):
-            source.check(scenario)
+            yield from _errors(source.check, scenario)
     if scenario.simulation.images:
-        check_trails('simulation.images', scenario)
+        yield from _errors(check_trails, 'simulation.images', scenario)
     for key in ('observer.epoch_utc', 'truth.observer.epoch_utc', 'simulation.start_utc'):
         if (text := _get(scenario, key)) is not None:
-            stamp_ns(key, text)
+            yield from _errors(stamp_ns, key, text)
 
 
 def check_trails(key: str, scenario: Scenario) -> None:

@@ -16,6 +16,8 @@ from instruments import CONFIG, TAN2018, TOP
 import starcal_ros
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
+from starcal_ros.config.nodes import RecorderConfig
+from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.recording import reader
 from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
 from starcal_ros.results import initial
@@ -189,12 +191,14 @@ def test_recording_without_a_sensor_topic_is_named_with_the_topics_it_has(starca
     gyro = sensors.gyro(TAN2018).next(100)
     with Writer(tmp_path / 'gyro.mcap') as writer:
         writer.write_batches(imu_batch('/imu/data_raw', gyro))
-    done = starcal('calibrate', tmp_path / 'gyro.mcap', '--out', tmp_path / 'result.json')
+    done = starcal('calibrate', tmp_path / 'gyro.mcap', '--config', CONFIG, '--out',
+                   tmp_path / 'result.json')
     assert_refused(done, 'calibrate', tmp_path / 'gyro.mcap', '/star_tracker/centroids',
                    '/imu/data_raw')
     with Writer(tmp_path / 'none.mcap'):
         pass
-    done = starcal('calibrate', tmp_path / 'none.mcap', '--out', tmp_path / 'result.json')
+    done = starcal('calibrate', tmp_path / 'none.mcap', '--config', CONFIG, '--out',
+                   tmp_path / 'result.json')
     assert_refused(done, 'calibrate', tmp_path / 'none.mcap', '/imu/data_raw')
 
 
@@ -348,10 +352,64 @@ def test_play_hands_its_options_to_the_player(starcal, bag, monkeypatch):
                      'player.start_offset_s': '2.5', 'player.loop': 'true'}
 
 
-def test_shipped_scenario_is_the_default(starcal, bag, tmp_path):
-    for name, words in (('with', ['--config', CONFIG]), ('without', [])):
-        assert starcal('calibrate', bag, *words, '--out', tmp_path / name).status == NOT_YET
+def test_the_configuration_of_a_recording_is_used_and_said(starcal, bag, tmp_path):
+    own = tmp_path / 'own.yaml'
+    own.write_bytes(reader.read(bag).attachments['config.yaml'])
+    for name, words in (('with', ['--config', own]), ('without', [])):
+        done = starcal('calibrate', bag, *words, '--out', tmp_path / name)
+        assert done.status == NOT_YET
+        said = f'configuration: config.yaml in {bag}\n'
+        assert done.err.count(said) == (0 if words else 1)
     assert (tmp_path / 'with').read_bytes() == (tmp_path / 'without').read_bytes()
+
+
+@pytest.mark.parametrize('words', [['calibrate', '--out', 'r.json'], ['intrinsics'],
+                                   ['bootstrap']], ids=lambda words: words[0])
+def test_no_configuration_is_guessed(starcal, bag, tmp_path, words):
+    """Neither of a recording without one, nor with one that nobody wrote, or can read."""
+    recording = reader.read(bag)
+    for attached, said in ((None, 'carries no configuration'),
+                           (parameter_file.dump(Scenario(recorder=RecorderConfig('x.mcap'))),
+                            'states neither camera nor mounting'),
+                           ('camera: 1', 'not a ROS 2 parameter file')):
+        path = tmp_path / 'bare.mcap'
+        with Writer(path, overwrite=True) as writer:
+            if attached:
+                writer.attach('config.yaml', attached.encode(), 'application/yaml')
+            writer.write_batches(imu_batch('/imu/data_raw', recording.gyro))
+            writer.write_batches(centroids_batch('/star_tracker/centroids', recording.frames))
+        done = starcal(words[0], path, *words[1:])
+        assert_refused(done, words[0], path, said, '--config FILE')
+
+
+@pytest.mark.parametrize('command', ['simulate', 'calibrate'])
+def test_a_mounting_that_is_left_out_is_said(starcal, bag, tmp_path, command):
+    values = {key: value for key, value in TAN2018.flat().items()
+              if key != 'mounting.quaternion_xyzw'}
+    config = tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(from_flat(values)))
+    words = [bag] if command == 'calibrate' else ['--duration', '1']
+    done = starcal(command, *words, '--config', config, '--out', tmp_path / 'out')
+    line, = [line for line in done.err.splitlines() if 'leaves out the mounting' in line]
+    assert line.startswith(f'warning: {config} leaves out the mounting')
+    done = starcal(command, *words, '--config', CONFIG, '--out', tmp_path / 'again')
+    assert 'mounting' not in done.err
+
+
+def test_each_command_reads_the_sections_of_its_node(starcal, tmp_path):
+    """The simulators do not see the estimator's, and agree among themselves or are refused."""
+    config, out = tmp_path / 'config.yaml', tmp_path / 'out.mcap'
+    words = ['simulate', '--config', config, '--out', out, '--duration', '1', '--overwrite']
+    config.write_text('/estimator: {ros__parameters: {nonsense: 1}}\n'
+                      '/ns/gyro_sim: {ros__parameters: {gyro: {rate_hz: 50.0}}}\n')
+    done = starcal(*words)
+    assert done.status == 0
+    assert f'{config} is read for /ns/star_tracker_sim and /ns/gyro_sim' in done.err
+    assert len(reader.read(out).gyro) == 50
+    config.write_text('/**: {ros__parameters: {gyro: {rate_hz: 50.0}}}\n'
+                      '/gyro_sim: {ros__parameters: {gyro: {rate_hz: 20.0}}}\n')
+    assert_refused(starcal(*words), 'simulate', 'gyro.rate_hz: is 50.0 for /star_tracker_sim and '
+                   '20.0 for /gyro_sim')
 
 
 def test_calibrate_draws_its_figure(starcal, bag, tmp_path):
@@ -367,7 +425,8 @@ def test_gap_in_a_recording_is_a_warning_and_not_the_end(starcal, tmp_path):
         for part in (gyro[:400], gyro[600:]):
             writer.write_batches(imu_batch('/imu/data_raw', part))
         writer.write_batches(centroids_batch('/star_tracker/centroids', frames))
-    done = starcal('calibrate', tmp_path / 'gap.mcap', '--out', tmp_path / 'r.json')
+    done = starcal('calibrate', tmp_path / 'gap.mcap', '--config', CONFIG, '--out',
+                   tmp_path / 'r.json')
     assert done.status == NOT_YET
     line, = [line for line in done.err.splitlines() if line.startswith('warning: ')]
     assert 'silent for 2.010 s' in line

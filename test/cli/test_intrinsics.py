@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from instruments import TAN2018
+from instruments import CONFIG, TAN2018
 from starcal_ros.calibration.methods import predicted_centroid
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
@@ -39,7 +39,8 @@ def bag(tmp_path_factory):
 
 def test_recording_without_gyro_gives_the_camera(bag, tmp_path, capsys):
     out = tmp_path / 'camera.json'
-    assert main(['intrinsics', str(bag), '--method', 'bundle', '--out', str(out)]) == 3
+    assert main(['intrinsics', str(bag), '--config', str(CONFIG), '--method', 'bundle', '--out',
+                 str(out)]) == 3
     result = json.loads(out.read_text())
     error = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS]) - TRUE
     assert error @ np.linalg.solve(result['covariance'], error) < 24.3  # 0.999 of chi-square, 7
@@ -56,8 +57,8 @@ def test_recording_without_gyro_gives_the_camera(bag, tmp_path, capsys):
 
 def test_what_is_not_estimated_is_held_and_contradicted_where_it_is_wrong(bag, tmp_path, capsys):
     out = tmp_path / 'camera.json'
-    assert main(['intrinsics', str(bag), '--method', 'bundle', '--estimate', 'f', 'k1', '--out',
-                 str(out)]) == 4
+    assert main(['intrinsics', str(bag), '--config', str(CONFIG), '--method', 'bundle', '--out',
+                 str(out), '--estimate', 'f', 'k1']) == 4
     result = json.loads(out.read_text())
     sigma = result['intrinsics_sigma']
     assert [key for key, value in sigma.items() if value > 0.0] == ['f_mm', 'k1']
@@ -76,7 +77,8 @@ def test_a_camera_inside_its_tolerances_is_consistent(bag, tmp_path):
 
 
 def test_a_method_that_needs_the_gyro_says_so(bag, capsys):
-    assert main(['intrinsics', str(bag), '--method', 'predicted_centroid']) == 1
+    assert main(['intrinsics', str(bag), '--config', str(CONFIG), '--method',
+                 'predicted_centroid']) == 1
     assert 'no camera from 300 frames' in capsys.readouterr().err
 
 
@@ -94,7 +96,8 @@ def test_calibrate_refuses_a_recording_without_gyro(bag):
     (['--report', 'x.html'], '--report: is for still images'),
 ])
 def test_wrong_options_are_named(words, culprit, bag, capsys):
-    assert main(['intrinsics', str(bag), *words]) == 2
+    config = [] if '--report' in words else ['--config', str(CONFIG)]
+    assert main(['intrinsics', str(bag), *config, *words]) == 2
     assert culprit in capsys.readouterr().err
 
 

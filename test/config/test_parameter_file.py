@@ -2,15 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameter files: what the shipped one holds, the round trip, and each refusal."""
 
+import re
+
 import numpy as np
 import pytest
 import yaml
 
 from instruments import EXTERNAL
-from starcal_ros.config import models, parameter_file
+from starcal_ros.config import models, parameter_file, rcl_yaml
 from starcal_ros.config.instrument import CameraConfig, MotionConfig, MountingConfig
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.scenario import Scenario, parameters, stamp_ns
+from starcal_ros.config.scenario import Scenario, from_flat, parameters, stamp_ns
 from starcal_ros.config.shipped import config_file
 from starcal_ros.config.truth import TrueCameraConfig
 from starcal_ros.core import rotation
@@ -148,7 +150,7 @@ def test_a_dotted_name_is_the_path_to_its_field(tan2018):
     ('estimator: {feedback: 1}', 'estimator.feedback: got 1 (int), needs a bool'),
     ('gyro: {rate_hz: fast}', "gyro.rate_hz: got 'fast' (str), needs a float"),
     ('gyro: {rate_hz: [100.0]}', 'gyro.rate_hz: got [100.0] (list), needs a float'),
-    ('gyro: {rate_hz: null}', 'gyro.rate_hz: got None (NoneType), needs a float'),
+    ('gyro: {rate_hz: null}', "gyro.rate_hz: got 'null' (str), needs a float"),
     ('camera: {distortion: 0.0}', 'camera.distortion: got 0.0, needs a list of float'),
     ('camera: {distortion: [0, 0, 0, 0]}',
      'camera.distortion: got 0 (int), needs a float; write 0.0'),
@@ -166,8 +168,10 @@ def test_a_dotted_name_is_the_path_to_its_field(tan2018):
      "motion.axes: got 'w', allowed are 'x', 'y', 'z'"),
     ("motion: {axes: ['x'], angles_deg: [1.0, 1.0]}",
      'motion.angles_deg: got 2 angles for 1 axes, needs as many, and at least one'),
-    ('motion: {axes: [], angles_deg: []}',
-     'motion.angles_deg: got 0 angles for 0 axes, needs as many, and at least one'),
+    ('motion: {axes: []}', 'motion.axes: an empty list has no type in ROS 2, leave it out'),
+    ('gyro: {rate_hz: }', 'gyro.rate_hz: no value in line 3'),
+    ('gyro: {rate_hz: 1:40.0}', "gyro.rate_hz: got '1:40.0' (str), needs a float"),
+    ('gyro: {rate_hz: 1_00.0}', "gyro.rate_hz: got '1_00.0' (str), needs a float"),
     ('mounting: {quaternion_xyzw: [0.0, 0.0, 0.0, 0.9]}',
      'mounting.quaternion_xyzw: got norm 0.9, a quaternion has norm 1'),
     ('truth: {mounting: {quaternion_xyzw: [0.0, 0.0, 0.0, 0.0]}}',
@@ -231,6 +235,113 @@ def test_a_binary_file_is_named(tmp_path, content):
 def test_a_shipped_file_that_is_not_there_is_named():
     with pytest.raises(FileNotFoundError, match='^none.yaml is not beside '):
         config_file('none.yaml')
+
+
+def test_all_errors_of_a_file_are_said_at_once():
+    with pytest.raises(ConfigError) as error:
+        parameter_file.parse("""/**:
+  ros__parameters:
+    camera: {focal_lenght_mm: 25.0, width: 8}
+    gyro: {rate_hz: 100}
+    gyro:
+      arw_deg_sqrt_h: 0.01
+    mounting: {quaternion_xyzw: [0.0, 0.0, 0.0, 0.9]}
+    motion: {axes: ['x', 'w'], angles_deg: [1.0]}
+    recorder: {topics: []}
+""", 'my.yaml')
+    head, *lines = str(error.value).split('\n')
+    assert head == 'my.yaml: 7 errors:'
+    for line, start in zip(lines, (         # not that there is one angle for six axes
+            'gyro: given twice, in line 4 and line 5', 'recorder.topics: an empty list',
+            'camera.focal_lenght_mm: unknown parameter; did you mean camera.focal_length_mm?',
+            'camera.width: got 8', 'gyro.rate_hz: got 100', "motion.axes: got 'w'",
+            'mounting.quaternion_xyzw: got norm 0.9'), strict=True):
+        assert line.startswith(f'  {start}')
+
+
+@pytest.mark.parametrize('text, said', [
+    (HEAD + '    gyro.rate_hz: 1.0\n    gyro: {rate_hz: 2.0}', 'gyro.rate_hz: given twice in /**'),
+    (HEAD + '    gyro: {rate_hz: 1.0, rate_hz: 1.0}',
+     'gyro.rate_hz: given twice, in line 3 and line 3'),
+    (HEAD + '    autostart: true\n' + HEAD + '    autostart: true', '/**: given twice, in line 1'),
+    ('/estimator: {ros__parameters: {autostart: true}}\n'
+     'estimator: {ros__parameters: {autostart: true}}',
+     '/estimator: a section that is given twice'),
+    (HEAD + '    autostart: &a true\n    estimator: {feedback: *a}', 'ROS 2 takes no alias (*a)'),
+    (HEAD + '    camera: [{width: 1}]', 'camera: a list may hold nothing but values'),
+    (HEAD + '    autostart: true\nest*: {ros__parameters: {}}', "'est*' is no name of a node"),
+    (HEAD + '    autostart: true\nother: 3', 'line 4: not a ROS 2 parameter file')])
+def test_what_would_be_passed_over_is_an_error(text, said):
+    with pytest.raises(ConfigError) as error:
+        parameter_file.parse(text, 'my.yaml')
+    assert said in str(error.value)
+
+
+# As a node reads it
+
+SECTIONS = {
+    'later': '/**: 1\n/estimator: 2', 'earlier': '/estimator: 2\n/**: 1', 'bare': 'estimator: 3',
+    'other': '/**: 1\n/gyro_sim: 2', 'namespace': '/**: 1\n/ns/estimator: 2',
+    'any': '/**/estimator: 2', 'one': '/**: 1\n/*/estimator: 2', 'node': '/**: 1\n/*: 2',
+    'both': '/**: 1\n/*/*: 2', 'within': '/**: 1\n/ns/**: 2',
+    'end': '/**: 1\n---\n/ns/estimator: 2',
+    'deep': '/**: 1\n/ns/**/estimator: 2', 'nested': '/**: 1\nns: {estimator: 2}'}
+
+
+@pytest.mark.parametrize('namespace', ['/', '/ns', '/ns/part'])
+@pytest.mark.parametrize('sections', SECTIONS.values(), ids=SECTIONS.keys())
+def test_sections_are_for_the_node_that_ros_gives_them_to(tmp_path, sections, namespace):
+    text = re.sub(r': (\d)', r': {ros__parameters: {gyro: {rate_hz: \1.0}}}', sections)
+    read = parameter_file.read(text, 'x', namespace=namespace).scenario
+    assert read == from_flat(overrides(tmp_path, text, namespace))
+
+
+@pytest.mark.parametrize('scalar', [
+    '1', '1.0', '1e3', '-.5', '+.5', '1_000', '1_00.0', '1:40', '1:40.0', '0x1F', '0b101', '017',
+    '0o17', '08', '.inf', '-.INF', 'inf', '.NaN', 'true', 'tRUE', 'Yes', 'y', 'N', 'off', 'null',
+    '~', '2001-12-14', '1e400', '1e-400', '9223372036854775807', '9223372036854775808', '0x1.8p3',
+    '1.5.2', '=', '<<', '1 2', '"1"', "'yes'", '!!str 1', '!!float 1', '|-\n      1.5'])
+def test_a_scalar_has_the_type_that_ros_gives_it(tmp_path, scalar):
+    text = f'{HEAD}    a: {scalar}\n'
+    (section,), errors = rcl_yaml.read(text)
+    ours, theirs = section.values['a'], overrides(tmp_path, text)['a']
+    assert not errors and type(ours) is type(theirs)
+    assert ours == theirs or ours != ours and theirs != theirs
+
+
+def overrides(folder, text, namespace='/'):
+    """Return the parameters that a node named estimator is given, by dotted name."""
+    rclpy = pytest.importorskip('rclpy')
+    path, context = folder / 'file.yaml', rclpy.Context()
+    path.write_text(text)
+    rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
+    try:
+        node = rclpy.create_node('estimator', context=context, namespace=namespace)
+        return {name: given.value for name, given in node._parameter_overrides.items()}
+    finally:
+        context.shutdown()
+
+
+def test_the_namespace_is_that_of_the_only_section_with_the_name():
+    text = '/**: {ros__parameters: {}}\n/a/estimator: {ros__parameters: {autostart: false}}\n'
+    reading = parameter_file.read(text, 'my.yaml')
+    assert not reading.scenario.autostart
+    assert 'my.yaml is read for /a/estimator' in reading.notices
+    text += '/b/estimator: {ros__parameters: {autostart: true}}\n'
+    with pytest.raises(ConfigError, match='in the namespaces /a, /b; --namespace tells which'):
+        parameter_file.read(text, 'my.yaml')
+    assert parameter_file.read(text, 'my.yaml', namespace='b').scenario.autostart
+
+
+@pytest.mark.parametrize('section, said', [
+    ('/*/estimator', 'the section /*/estimator is not for /estimator; --namespace'),
+    ('/estimater', 'the section /estimater is not read; did you mean estimator?'),
+    ('/gyro_sim', None), ('/camera_driver', None)])
+def test_a_section_that_was_meant_and_is_not_read_is_said(section, said):
+    text = f'{HEAD}    mounting: {{fixed_angles_deg: [0.0, 0.0, 0.0]}}\n'
+    notices = parameter_file.read(
+        f'{text}{section}: {{ros__parameters: {{autostart: true}}}}', 'x').notices
+    assert [said is not None and said in text for text in notices] == ([True] if said else [])
 
 
 # Time and mounting

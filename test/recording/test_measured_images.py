@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from instruments import CONFIG
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
@@ -88,7 +89,7 @@ def test_images_that_are_asked_for_and_missing_are_named(tmp_path, capsys):
     with Writer(path) as writer:
         writer.write_centroids('/star_tracker/centroids', sensors.star_tracker(SCENARIO).next(2))
         writer.write_imu('/imu/data_raw', sensors.gyro(SCENARIO).next(2))
-    assert main(['bootstrap', str(path), '--images']) == 2
+    assert main(['bootstrap', str(path), '--config', str(CONFIG), '--images']) == 2
     assert 'has no topic /star_tracker/image_raw' in capsys.readouterr().err
 
 
@@ -102,7 +103,7 @@ def test_an_image_that_can_not_be_used_is_named(tmp_path):
 
 
 def test_images_of_another_size_than_the_camera_are_named(bag, capsys):
-    assert main(['bootstrap', str(bag)]) == 2
+    assert main(['bootstrap', str(bag), '--config', str(CONFIG)]) == 2
     assert ('384 x 384 pixels, the camera has 1024 x 1024 (camera.width, camera.height)'
             in capsys.readouterr().err)
 

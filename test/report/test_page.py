@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 import pytest
 from scipy.stats import norm
 
-from instruments import DETECTOR, INTRINSICS, PITCH_MM, TAN2018
+from instruments import CONFIG, DETECTOR, INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros import report
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
@@ -229,8 +229,8 @@ def test_without_truth_the_page_does_without_it(made, tmp_path):
     with Writer(tmp_path / 'bare.mcap') as writer:
         writer.write_batches(imu_batch('/imu/data_raw', recording.gyro[:3000]),
                              centroids_batch('/star_tracker/centroids', recording.frames[:50]))
-    assert main(['calibrate', str(tmp_path / 'bare.mcap'), '--out', str(tmp_path / 'r.json'),
-                 '--report', str(tmp_path / 'r.html')]) == 3
+    assert main(['calibrate', str(tmp_path / 'bare.mcap'), '--config', str(CONFIG), '--out',
+                 str(tmp_path / 'r.json'), '--report', str(tmp_path / 'r.html')]) == 3
     page = Page((tmp_path / 'r.html').read_text())
     assert 'truth' not in page.rows('states')[0]
     assert 'Estimate minus final estimate' in page.all('section')[2]['text']
