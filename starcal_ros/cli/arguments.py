@@ -14,6 +14,7 @@ from starcal_ros.config.instrument import CameraConfig, MountingConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.shipped import config_file
+from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, TopicChoice
 
 SIMULATORS = ('star_tracker_sim', 'gyro_sim')
 SIMULATED = (*SIMULATORS, 'estimator')
@@ -23,6 +24,22 @@ SIMULATED = (*SIMULATORS, 'estimator')
 def add_bag(parser: argparse.ArgumentParser) -> None:
     """Add the recording."""
     parser.add_argument('bag', metavar='BAG', help='.mcap file or rosbag2 directory')
+
+
+def add_topics(parser: argparse.ArgumentParser, images: bool = True) -> None:
+    """Add the options that choose topics of a recording, for `topics`."""
+    for role, what in ((GYRO, 'the gyro readings'), (FRAMES, 'the star centroids'),
+                       (IMAGE, 'the star images')):
+        if images or role is not IMAGE:
+            parser.add_argument(
+                role.option, metavar='TOPIC', help=f'topic of {what} ({role.type}), where a '
+                f'recording has several; default: {role.topic}, or the only one of its kind')
+
+
+def topics(options: argparse.Namespace) -> TopicChoice:
+    """Return the topics that were chosen."""
+    return TopicChoice(options.gyro_topic, options.frames_topic,
+                       getattr(options, 'image_topic', None))
 
 
 def add_config(parser: argparse.ArgumentParser, recorded: bool = False) -> None:

@@ -26,9 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
     arguments.add_config(parser, recorded=True)
+    arguments.add_topics(parser)
     parser.add_argument('--images', action='store_true',
-                        help='measure the stars in star_tracker/image_raw even where the '
-                        'recording has centroids')
+                        help='measure the stars in the images even where the recording has '
+                        'centroids')
     parser.add_argument('--out', metavar='RESULT.json',
                         help='the result of the filter, with the camera after each step')
 
@@ -48,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
         from starcal_ros.workflows.bootstrap import bootstrap
         with progress('reading') as on_progress:
             recording = reader.read(options.bag, on_progress, measure=measure(scenario),
-                                    images_first=options.images)
+                                    images_first=options.images, choice=arguments.topics(options))
         with progress('bootstrap') as on_progress:
             chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
     except ImportError as error:

@@ -15,6 +15,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.recording.topic_choice import TopicChoice
 
 SUMMARY = 'calibrate a recording'
 DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
     arguments.add_config(parser, recorded=True)
+    arguments.add_topics(parser, images=False)
     parser.add_argument('--out', metavar='RESULT.json', required=True, help='result to write')
     parser.add_argument('--figure', metavar='PNG', help='draw the convergence of the estimates')
     parser.add_argument('--report', metavar='HTML',
@@ -44,13 +46,14 @@ def run(options: argparse.Namespace) -> int:
         options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
         Path(options.report) if options.report else None,
-        Path(options.export) if options.export else None)
+        Path(options.export) if options.export else None, arguments.topics(options))
     from starcal_ros.results import result
     return STATUS[result.word(calibrator)]
 
 
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
-                        page: Path | None, folder: Path | None = None) -> Calibrator:
+                        page: Path | None, folder: Path | None = None,
+                        choice: TopicChoice = TopicChoice()) -> Calibrator:
     """Calibrate a recording, write the result, print its table and return the final state."""
     from starcal_ros import report
     from starcal_ros.filter import verdict
@@ -66,7 +69,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     if folder is not None:
         arguments.make_folder(folder)
     with progress('reading') as on_progress:
-        recording = reader.read(bag, on_progress)
+        recording = reader.read(bag, on_progress, choice=choice)
     contradictions = list(_contradictions(
         recording.attachments.get(reader.CONFIG_ATTACHMENT), scenario))
     for text in contradictions:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from rich.table import Table
 
@@ -18,6 +19,7 @@ DESCRIPTION = 'List the topics, types, counts and rates of a recording.'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
+    arguments.add_topics(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,15 +28,31 @@ def run(options: argparse.Namespace) -> int:
     summary = reader.summary(options.bag)
     table = Table(title=f'{options.bag}: {summary.duration_s:.2f} s, '
                         f'{summary.n_bytes / 1e6:.1f} MB')
-    for column in ('topic', 'type', 'messages', 'rate [Hz]'):
+    uses = {name: word for word, name in _uses(options).items()}
+    for column in ('topic', 'type', 'messages', 'rate [Hz]', 'read as'):
         table.add_column(column, justify='right' if column in ('messages', 'rate [Hz]')
                          else 'left')
     for topic in summary.topics:
         rate = f'{topic.rate_hz:.2f}' if topic.rate_hz == topic.rate_hz else '-'
-        table.add_row(topic.topic, topic.type, str(topic.count), rate)
+        table.add_row(topic.topic, topic.type, str(topic.count), rate,
+                      uses.get(topic.topic, ''))
     show(table)
     for name, size in summary.attachments.items():
         show(f'attachment {name}, {size} bytes')
     for text in summary.warnings:
         show(f'warning: {text}')
     return 0
+
+
+def _uses(options: argparse.Namespace) -> dict[str, str]:
+    """Return the topics that other commands would read, by what they are; say what is open."""
+    from starcal_ros.recording.bag import open_bag
+    from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, candidates, choose
+    bag, path, uses = open_bag(Path(options.bag)), Path(options.bag), {}
+    for word, role, given in zip(('gyro', 'frames', 'images'), (GYRO, FRAMES, IMAGE),
+                                 arguments.topics(options)):
+        if given or len(found := candidates(bag.topics(), role)) == 1:
+            uses[word] = choose(bag, role, path, given).name
+        elif found:
+            show(f'{len(found)} topics may be the {word}: {role.option} chooses one')
+    return uses

@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('source', metavar='BAG|IMAGES', nargs='?',
                         help='.mcap file or rosbag2 directory, or a folder of images of the sky')
     arguments.add_config(parser, recorded=True)
+    arguments.add_topics(parser)
     parser.add_argument('--out', metavar='RESULT.json', help='result to write')
     choices = {'method': calibration.names(), 'estimate': list(INTRINSICS)}
     for name in _OPTIONS:
@@ -99,7 +100,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     from starcal_ros.results import result
     with progress('reading') as on_progress:
         recording = reader.read(options.source, on_progress, needs_gyro=False,
-                                measure=measure(scenario))
+                                measure=measure(scenario), choice=arguments.topics(options))
     frames = recording.frames
     with progress('calibrating') as on_progress:
         method.add_gyro(recording.gyro)

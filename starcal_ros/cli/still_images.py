@@ -79,8 +79,8 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
         raise ConfigError(f'--{name}: is for '
                           + ('a folder of images' if options.centroids else
                              '--centroids; images have a size of their own'))
-    for name in given(('config', 'namespace')):
-        raise ConfigError(f'--{name}: is for a recording')
+    for name in given(('config', 'namespace', 'gyro_topic', 'frames_topic', 'image_topic')):
+        raise ConfigError(f'--{name.replace("_", "-")}: is for a recording')
     for name in given(('pressure', 'temperature')):
         if not options.site:
             raise ConfigError(f'--{name}: needs --site')

@@ -21,20 +21,15 @@ from numpy.typing import NDArray
 from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages.cdr import Messages, RecordError
-from starcal_ros.messages.cdr_image import IMAGE_TYPE
-from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu
-from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, decode_centroids
-from starcal_ros.messages.topics import (ATTITUDE, CENTROIDS, IMAGES, IMU, RESIDUALS, SPOTS,
-                                         TRUE_CENTROIDS)
+from starcal_ros.messages.cdr_imu import decode_imu
+from starcal_ros.messages.cdr_pointcloud import decode_centroids
 from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
+from starcal_ros.recording.topic_choice import (FRAMES, GYRO, IMAGE, TopicChoice, candidates,
+                                                choose, mean_rate_hz, notice)
 
-GYRO_TOPIC = IMU.recorded
-FRAMES_TOPIC = CENTROIDS.recorded
-IMAGES_TOPIC = IMAGES.recorded
+GYRO_TOPIC, FRAMES_TOPIC = GYRO.topic, FRAMES.topic
 CONFIG_ATTACHMENT, TRUTH_ATTACHMENT = 'config.yaml', 'truth.json'
 
-_NOT_OF_SENSORS = tuple(topic.recorded for topic in (
-    ATTITUDE, RESIDUALS, SPOTS, TRUE_CENTROIDS))
 _HASH_BYTES = 1 << 20
 
 
@@ -110,11 +105,12 @@ class Summary:
 
 def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
          needs_gyro: bool = True, measure: Callable[[Messages], Frames] | None = None,
-         images_first: bool = False) -> Recording:
+         images_first: bool = False, choice: TopicChoice = TopicChoice()) -> Recording:
     """Read the gyro samples and star frames of a recording.
 
     The topics are ``/imu/data_raw`` and ``/star_tracker/centroids``, or else the only ones that
-    end so (in a namespace), or else the only ones of their type (remapped), which a warning names.
+    end so (in a namespace), or else the only ones of their type (remapped), which a warning names;
+    or those that are chosen.
     Where there are no centroids but images, ``/star_tracker/image_raw``, these are measured, if a
     function for it is given.
 
@@ -130,6 +126,8 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
         Takes sensor_msgs/Image in CDR and returns their star frames, one a message.
     images_first : bool
         Measure the images even where there are centroids.
+    choice : TopicChoice
+        Names of topics; images that are named, and no centroids, are measured.
 
     Raises
     ------
@@ -140,10 +138,9 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     path = Path(path)
     bag = open_bag(path)
     topics = bag.topics()
-    has_gyro = bool(_candidates(topics, GYRO_TOPIC, IMU_TYPE))
-    gyro_topic = (_choose(topics, GYRO_TOPIC, IMU_TYPE, path) if needs_gyro or has_gyro
-                  else None)
-    frames_topic, decode = _frames_topic(topics, path, measure, images_first)
+    has_gyro = choice.gyro is not None or bool(candidates(topics, GYRO))
+    gyro_topic = choose(bag, GYRO, path, choice.gyro) if needs_gyro or has_gyro else None
+    frames_topic, decode = _frames_topic(bag, path, measure, images_first, choice)
     chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
     times: dict[str, list[Ints]] = {topic.name: [] for topic in chosen}
     gyro_parts, frames_parts = [], []
@@ -160,10 +157,11 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
             on_progress(done)
     gyro, frames = GyroSamples.concatenate(gyro_parts), Frames.concatenate(frames_parts)
     read_ = (len(gyro), len(frames))[-len(chosen):]
-    wanted = (*([GYRO_TOPIC] if gyro_topic else []),
-              IMAGES_TOPIC if decode is measure else FRAMES_TOPIC)
-    elsewhere = [f'{topic.name} is taken for {name}' for topic, name in zip(chosen, wanted)
-                 if not topic.name.endswith(name)]
+    found = [(GYRO, gyro_topic, choice.gyro), (
+        (IMAGE, frames_topic, choice.images) if decode is measure else
+        (FRAMES, frames_topic, choice.frames))]
+    elsewhere = [text for role, topic, given in found if topic and not given
+                 and (text := notice(topics, role, topic))]
     lost = [f'{count} of {topic.count} messages on {topic.name} could be read'
             for topic, count in zip(chosen, read_) if count != topic.count]
     recording = Recording(
@@ -189,53 +187,27 @@ def summary(path: str | Path) -> Summary:
     for topic in bag.topics():
         log_time = bag.log_times(topic.name)
         first, last = (int(log_time.min()), int(log_time.max())) if log_time.size else (None, None)
-        rate = np.nan
         if first is not None and last is not None:
             spans += [first, last]
-            rate = (log_time.size - 1) / (last - first) * 1e9 if last > first else np.nan
-        rows.append(TopicSummary(topic.name, topic.type, topic.count, first, last, rate,
-                                 topic.qos))
+        rows.append(TopicSummary(topic.name, topic.type, topic.count, first, last,
+                                 mean_rate_hz(log_time), topic.qos))
     return Summary(tuple(rows), {name: len(data) for name, data in bag.attachments.items()},
                    (max(spans) - min(spans)) / 1e9 if spans else 0.0,
                    sum(file.stat().st_size for file in bag.files), bag.warnings)
 
 
-def _frames_topic(topics: list[RecordedTopic], path: Path,
-                  measure: Callable[[Messages], Frames] | None, images_first: bool
+def _frames_topic(bag: Bag, path: Path, measure: Callable[[Messages], Frames] | None,
+                  images_first: bool, choice: TopicChoice
                   ) -> tuple[RecordedTopic, Callable[[Messages], Frames]]:
     """Find the topic of the star frames, and what makes frames of its messages."""
-    stars = _candidates(topics, FRAMES_TOPIC, CLOUD_TYPE)
-    images = _candidates(topics, IMAGES_TOPIC, IMAGE_TYPE)
-    if measure is not None and (images_first or images and (
-            not stars or images[0].name.endswith(IMAGES_TOPIC)
-            and not stars[0].name.endswith(FRAMES_TOPIC))):
-        return _choose(topics, IMAGES_TOPIC, IMAGE_TYPE, path), measure
-    return _choose(topics, FRAMES_TOPIC, CLOUD_TYPE, path), decode_centroids
-
-
-def _candidates(topics: list[RecordedTopic], wanted: str, wanted_type: str) -> list[RecordedTopic]:
-    """Return the topic of a name, or those that end with it, or those of its type."""
-    return ([topic for topic in topics if topic.name == wanted]
-            or [topic for topic in topics if topic.name.endswith(wanted)]
-            or [topic for topic in topics
-                if topic.type == wanted_type and not topic.name.endswith(_NOT_OF_SENSORS)])
-
-
-def _choose(topics: list[RecordedTopic], wanted: str, wanted_type: str, path: Path
-            ) -> RecordedTopic:
-    """Find the only candidate for a topic."""
-    found = _candidates(topics, wanted, wanted_type)
-    if len(found) != 1:
-        listed = ', '.join(topic.name for topic in found or topics) or 'no topics'
-        raise RecordError(f'{path} has several topics {wanted}: {listed}' if found else
-                          f'{path} has no topic {wanted}; it has {listed}')
-    topic = found[0]
-    if topic.type != wanted_type:
-        raise RecordError(f'{path}: {topic.name} is of type {topic.type or "unknown"}, '
-                          f'not {wanted_type}')
-    if topic.encoding != 'cdr':
-        raise RecordError(f"{path}: {topic.name} has encoding '{topic.encoding}', not 'cdr'")
-    return topic
+    stars = candidates(bag.topics(), FRAMES)
+    images = candidates(bag.topics(), IMAGE)
+    if measure is not None and (images_first or choice.frames is None and (
+            choice.images is not None or images and (
+                not stars or images[0].name.endswith(IMAGE.topic)
+                and not stars[0].name.endswith(FRAMES.topic)))):
+        return choose(bag, IMAGE, path, choice.images), measure
+    return choose(bag, FRAMES, path, choice.frames), decode_centroids
 
 
 def _arrange_gyro(gyro: GyroSamples, times: list[Ints]) -> GyroSamples:

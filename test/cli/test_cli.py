@@ -352,6 +352,56 @@ def test_play_hands_its_options_to_the_player(starcal, bag, monkeypatch):
                      'player.start_offset_s': '2.5', 'player.loop': 'true'}
 
 
+@pytest.fixture(scope='module')
+def two_gyros(bag, tmp_path_factory):
+    """Return the same recording with an accelerometer beside the gyro."""
+    path = tmp_path_factory.mktemp('two') / 'two.mcap'
+    recording = reader.read(bag)
+    with Writer(path) as writer:
+        writer.attach('config.yaml', recording.attachments['config.yaml'], 'application/yaml')
+        writer.write_batches(imu_batch('/d435/gyro', recording.gyro),
+                             imu_batch('/d435/accel', recording.gyro[::2]),
+                             centroids_batch('/star_tracker/centroids', recording.frames))
+    return path
+
+
+@pytest.mark.parametrize('words', [['calibrate', '--out', 'r.json'], ['intrinsics'],
+                                   ['bootstrap']], ids=lambda words: words[0])
+def test_a_choice_that_is_needed_is_asked_for(starcal, two_gyros, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    done = starcal(words[0], two_gyros, *words[1:])
+    assert_refused(done, words[0], '/d435/gyro (sensor_msgs/msg/Imu, 2000 messages, 100.00 Hz)',
+                   '/d435/accel (sensor_msgs/msg/Imu, 1000 messages, 50.0', '--gyro-topic')
+    assert_refused(starcal(words[0], two_gyros, *words[1:], '--gyro-topic', '/gyro'), words[0],
+                   'no topic /gyro', '/d435/gyro (sensor')
+
+
+def test_the_chosen_gyro_is_calibrated(starcal, bag, two_gyros, tmp_path):
+    results = []
+    for path, words in ((bag, []), (two_gyros, ['--gyro-topic', '/d435/gyro'])):
+        assert starcal('calibrate', path, *words, '--out', tmp_path / 'r.json').status == NOT_YET
+        results.append(json.loads((tmp_path / 'r.json').read_text()))
+    assert results[0]['covariance'] == results[1]['covariance']
+
+
+def test_info_says_what_is_read_as_what(starcal, bag, two_gyros):
+    lines = starcal('info', bag).out.splitlines()
+    assert [line.split()[-2] for line in lines if '/imu/data_raw' in line] == ['gyro']
+    assert [line.split()[-2] for line in lines if '/centroids' in line] == ['frames']
+    assert '2 topics may be the gyro: --gyro-topic chooses' in starcal('info', two_gyros).out
+    done = starcal('info', two_gyros, '--gyro-topic', '/d435/gyro')
+    assert 'may be' not in done.out and done.status == 0
+    assert [line.split()[-2] for line in done.out.splitlines() if '/d435/gyro' in line] == ['gyro']
+
+
+def test_play_leaves_out_the_gyro_that_was_not_chosen(starcal, two_gyros, monkeypatch):
+    commands = []
+    monkeypatch.setattr(subprocess, 'call', lambda command: commands.append(command) or 0)
+    assert starcal('play', two_gyros, '--gyro-topic', '/d435/gyro').status == 0
+    assert "player.topics:=['/d435/gyro', '/star_tracker/centroids']" in commands[0]
+    assert_refused(starcal('play', two_gyros, '--gyro-topic', '/gyro'), 'play', 'no topic /gyro')
+
+
 def test_the_configuration_of_a_recording_is_used_and_said(starcal, bag, tmp_path):
     own = tmp_path / 'own.yaml'
     own.write_bytes(reader.read(bag).attachments['config.yaml'])

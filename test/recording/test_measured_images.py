@@ -19,6 +19,7 @@ from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.cdr_pointcloud import encode_centroids
 from starcal_ros.recording import reader
 from starcal_ros.recording.measured_images import measure
+from starcal_ros.recording.topic_choice import TopicChoice
 from starcal_ros.recording.writer import Writer
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
@@ -82,6 +83,24 @@ def test_images_are_measured_where_there_are_centroids_only_when_asked_for(tmp_p
                                 (True, '/star_tracker/image_raw', 1)):
         recording = reader.read(path, needs_gyro=False, measure=eye, images_first=first)
         assert recording.frames_topic == topic and len(recording.frames) == count
+
+
+def test_one_of_two_cameras_is_chosen(tmp_path):
+    path, data = tmp_path / 'two.mcap', encode_image(1, np.zeros((384, 384), np.uint16))
+    with Writer(path) as writer:
+        for topic, count in (('/left/image', 1), ('/right/image', 2)):
+            for k in range(count):
+                writer.write(topic, IMAGE_TYPE, data, k)
+        writer.write_centroids('/star_tracker/centroids', sensors.star_tracker(SCENARIO).next(3))
+    eye = measure(SCENARIO)
+    with pytest.raises(RecordError, match='/left/image .*, /right/image .*--image-topic chooses'):
+        reader.read(path, needs_gyro=False, measure=eye, images_first=True)
+    recording = reader.read(path, needs_gyro=False, measure=eye,
+                            choice=TopicChoice(images='/right/image'))
+    assert len(recording.frames) == 2 and recording.warnings == ()
+    recording = reader.read(path, needs_gyro=False, measure=eye, choice=TopicChoice(
+        frames='/star_tracker/centroids', images='/right/image'))
+    assert len(recording.frames) == 3
 
 
 def test_images_that_are_asked_for_and_missing_are_named(tmp_path, capsys):

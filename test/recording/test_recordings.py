@@ -19,6 +19,7 @@ from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
 from starcal_ros.recording.qos import LATCHED, Qos
 from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, RecordError, read, summary
+from starcal_ros.recording.topic_choice import TopicChoice
 from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
                                           typestore)
 
@@ -390,8 +391,56 @@ def test_two_namespaces_are_ambiguous(tmp_path):
         writer.write_imu('/a/imu/data_raw', GYRO)
         writer.write_imu('/b/imu/data_raw', GYRO)
     with pytest.raises(RecordError,
-                       match='several topics /imu/data_raw: /a/imu/data_raw, /b/imu/data_raw'):
+                       match=r'several topics /imu/data_raw: /a/imu/data_raw \(sensor_msgs/msg/'
+                             r'Imu, 1000 messages, 100.00 Hz\), /b/imu/data_raw .*; --gyro-topic'):
         read(tmp_path / 'run.mcap')
+
+
+def two_of_each(path, storage=None):
+    """Write a gyro and an accelerometer, and the stars of two cameras."""
+    other = sensors(seed=2)
+    rows = [(name, kind, t, data) for topic, kind, t, data in messages()
+            for name in ({GYRO_TOPIC: ['/d435/gyro', '/d435/accel'],
+                          FRAMES_TOPIC: ['/left/stars', '/right/stars']}[topic])]
+    rows += [('/right/stars', CLOUD_TYPE, t, data) for t, data in zip(
+        other[1].stamp_ns.tolist(), encode_centroids(other[1]))]
+    if storage is None:
+        return write_with_mcap(path / 'run.mcap', rows)
+    return write_with_rosbags(path / 'bag', rows, storage_plugin=storage)
+
+
+@pytest.mark.parametrize('storage', [None, *rosbag2.StoragePlugin])
+def test_a_choice_is_asked_for_with_type_count_and_rate_and_followed(tmp_path, storage):
+    path = two_of_each(tmp_path, storage)
+    with pytest.raises(RecordError, match=r'several topics /imu/data_raw: /d435/accel \(sensor_'
+                       r'msgs/msg/Imu, 1000 messages, 100.00 Hz\), /d435/gyro .*; --gyro-topic'):
+        read(path)
+    with pytest.raises(RecordError, match=r'/left/stars \(sensor_msgs/msg/PointCloud2, 20 mess'
+                       r'ages, 2.00 Hz\), /right/stars \(.*, 40 messages, .*--frames-topic'):
+        read(path, choice=TopicChoice('/d435/gyro'))
+    recording = read(path, choice=TopicChoice('d435/gyro', '/left/stars'))
+    assert_holds_all(recording)
+    assert (recording.gyro_topic, recording.frames_topic) == ('/d435/gyro', '/left/stars')
+    assert len(read(path, choice=TopicChoice('/d435/gyro', '/right/stars')).frames) == 40
+
+
+@pytest.mark.parametrize('choice, said', [
+    (TopicChoice('/imu'), 'has no topic /imu; for --gyro-topic it has /d435/accel (sensor_msgs/'),
+    (TopicChoice('/left/stars'), '/left/stars is of type sensor_msgs/msg/PointCloud2, not'),
+    (TopicChoice('/d435/gyro', '/stars'), 'has no topic /stars; for --frames-topic it has /left'),
+    (TopicChoice('/d435/gyro', images='/x'), 'has no topic /x; it has /d435/accel, /d435/gyro, ')])
+def test_a_choice_that_is_not_there_is_named_with_what_is(tmp_path, choice, said):
+    with pytest.raises(RecordError) as error:
+        read(two_of_each(tmp_path), measure=lambda messages: FRAMES, choice=choice)
+    assert said in str(error.value)
+
+
+def test_a_topic_that_is_found_beside_others_is_said(tmp_path):
+    with Writer(tmp_path / 'run.mcap') as writer:
+        writer.write_batches(imu_batch('/sat' + GYRO_TOPIC, GYRO), imu_batch('/accel', GYRO[:10]),
+                             centroids_batch(FRAMES_TOPIC, FRAMES))
+    assert_holds_all(read(tmp_path / 'run.mcap'), (
+        '/sat/imu/data_raw is read, not /accel: --gyro-topic chooses another',))
 
 
 def test_a_missing_topic_is_an_error_that_lists_the_topics_present(tmp_path):
