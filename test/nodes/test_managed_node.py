@@ -171,27 +171,41 @@ def test_signal_ends_a_node_that_was_never_configured(start_once, peer):
     assert recorder.wait(PATIENCE_S) == 0
 
 
-@pytest.mark.parametrize('name, topic', [
-    ('recorder', topics.IMU), ('estimator', topics.IMU), ('centroid_extractor', topics.IMAGES),
-    ('star_identifier', topics.SPOTS), ('intrinsics_estimator', topics.IMU)])
-def test_running_node_is_deactivated_and_activated_again(start_once, peer, name, topic, tmp_path):
-    """The transition ends the subscriptions that the loop is about to look at."""
-    process = start_once(name, '--params-file', str(CONFIG), '-r', f'__node:=again_{name}',
-                         '-r', '__ns:=/again', '-p', f'recorder.output:={tmp_path}/run.mcap',
-                         '-p', 'centroid_extractor.wait_for_subscribers:=0',
-                         '-p', 'star_identifier.wait_for_subscribers:=0',
-                         '-p', 'estimator.wait_for_subscribers:=0')
-    node, heard = f'/again/again_{name}', f'/again/{topic.name}'
-    for _ in range(2):
-        peer.until(lambda: peer.node.count_subscribers(heard) == 1)
-        assert change(peer, node, Transition.TRANSITION_DEACTIVATE)
-        peer.until(lambda: peer.node.count_subscribers(heard) == 0)
-        assert state(peer, node) == 'inactive'
-        assert change(peer, node, Transition.TRANSITION_ACTIVATE)
-    peer.until(lambda: peer.node.count_subscribers(heard) == 1)
-    assert state(peer, node) == 'active'
-    process.send_signal(signal.SIGINT)
+MANAGED = {'recorder': topics.IMU, 'estimator': topics.IMU, 'centroid_extractor': topics.IMAGES,
+           'star_identifier': topics.SPOTS, 'intrinsics_estimator': topics.IMU}
+
+
+@pytest.mark.parametrize('names', [*((name,) for name in MANAGED), tuple(MANAGED)],
+                         ids=lambda names: names[0] if len(names) == 1 else 'composed')
+def test_running_node_goes_through_all_transitions_twice(start_once, peer, names, tmp_path):
+    """Readings arrive all the while: the loop may be amid them when a transition ends them."""
+    output, space = tmp_path / 'run.mcap', f'/all_{len(names)}_{names[0]}'
+    program, words = (names[0], ()) if len(names) == 1 else ('composed', names)
+    process = start_once(program, '--params-file', str(CONFIG), '-r', f'__ns:={space}',
+                         '-p', f'recorder.output:={output}', names=words)
+    stream = peer.node.create_publisher(Imu, f'{space}/imu/data_raw', 10)
+    timer = peer.node.create_timer(0.002, lambda: stream.publish(Imu()))
+    steps = [(Transition.TRANSITION_DEACTIVATE, 'inactive'),
+             (Transition.TRANSITION_ACTIVATE, 'active'),
+             (Transition.TRANSITION_DEACTIVATE, 'inactive'),
+             (Transition.TRANSITION_CLEANUP, 'unconfigured'),
+             (Transition.TRANSITION_CONFIGURE, 'inactive'),
+             (Transition.TRANSITION_ACTIVATE, 'active')]
+    for round_, name in ((round_, name) for round_ in range(2) for name in names):
+        listened = f'{space}/{MANAGED[name].name}'
+        for transition, reached in steps:
+            node = f'{space}/{name}'
+            if name == 'recorder' and transition == Transition.TRANSITION_CONFIGURE:
+                output.rename(tmp_path / f'{round_}.mcap')      # it would not overwrite it
+            assert change(peer, node, transition), (name, reached)
+            assert state(peer, node) == reached
+            if len(names) == 1:
+                peer.until(lambda: peer.node.count_subscribers(listened) == (reached == 'active'))
+    for name in names:
+        assert change(peer, f'{space}/{name}', Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert process.wait(PATIENCE_S) == 0, process.stderr.read()
+    peer.node.destroy_timer(timer)
+    peer.node.destroy_publisher(stream)
 
 
 def test_subscription_that_has_ended_has_nothing_more_to_take(peer):
