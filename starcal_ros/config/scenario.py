@@ -145,9 +145,7 @@ def from_flat(values: Mapping[str, Any]) -> Scenario:
         if key.startswith(ROS_OWN):
             continue
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            hint = f'; did you mean {near[0]}?' if near else ''
-            errors.append(f'{key}: unknown parameter{hint}')
+            errors.append(unknown(key))
             continue
         *path, name = key.split('.')
         try:
@@ -178,6 +176,12 @@ def _errors(check: Callable[..., object], *arguments: Any) -> tuple[str, ...]:
     except ConfigError as error:
         return error.errors
     return ()
+
+
+def unknown(key: str) -> str:
+    """Return what to say of a name that no parameter has: which has nearly that name."""
+    near = difflib.get_close_matches(key, parameters(), n=1)
+    return f'{key}: unknown parameter' + (f'; did you mean {near[0]}?' if near else '')
 
 
 def _replace(default: Any, tree: Mapping[str, Any]) -> Any:

@@ -18,7 +18,6 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 import numpy as np
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -37,7 +36,7 @@ _RESULTS = tuple(topic.recorded for topic in TOPICS if topic.result)
 _OF_ROS = ('/rosout', '/parameter_events', '/clock')
 
 
-class Player(Node):
+class Player(parameters.AnsweringNode):
     """Publish the messages of a bag in the rhythm of their log times."""
 
     def __init__(self, **options: Any) -> None:

@@ -15,7 +15,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -24,6 +23,7 @@ from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.messages import topics
 from starcal_ros.nodes.base import run_loop
+from starcal_ros.nodes.base.parameters import AnsweringNode
 from starcal_ros.report.watch import STAR_FIELDS, STATE_SIZE, Seen, render
 
 _DRAW_S = 0.5
@@ -35,7 +35,7 @@ _KINDS = {PointField.FLOAT64: 'f8', PointField.FLOAT32: 'f4', PointField.UINT32:
           PointField.UINT8: 'u1'}
 
 
-class Watch(Node):
+class Watch(AnsweringNode):
     """Draw what the estimator says."""
 
     def __init__(self, **options: Any) -> None:

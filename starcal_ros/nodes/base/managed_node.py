@@ -34,7 +34,7 @@ from starcal_ros.nodes.base.run_loop import USER_ERRORS
 _DRAIN_S = 6.0          # for the last messages; acknowledgements may take 3 s
 
 
-class ManagedNode(LifecycleNode):
+class ManagedNode(parameters.AnsweringNode, LifecycleNode):
     """A managed node with parameters of the scenario.
 
     Parameters

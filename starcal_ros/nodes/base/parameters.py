@@ -1,9 +1,14 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The scenario as ROS parameters: declared from `config.scenario`, read by every node alike."""
+"""The scenario as ROS parameters: declared from `config.scenario`, read by every node alike.
+
+A parameter without a value is not declared: it would empty rclpy's answer to who asks for all of
+them, as `ros2 param dump` does. An empty list is a value.
+"""
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 from typing import Any
 
@@ -13,9 +18,53 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from starcal_ros.config.parameter import ConfigError, Parameter as Declared
-from starcal_ros.config.scenario import Scenario, from_flat, parameters
+from starcal_ros.config.scenario import Scenario, from_flat, parameters, unknown
 
 _TYPES = {float: 'DOUBLE', int: 'INTEGER', bool: 'BOOL', str: 'STRING'}
+_DOUBLES = (Parameter.Type.DOUBLE, Parameter.Type.DOUBLE_ARRAY)
+
+
+class AnsweringNode(Node):
+    """A node that says more of parameters that can not be set than rclpy does.
+
+    To set a parameter to what it is succeeds, also where it is read-only, so that
+    `ros2 param load` takes what `ros2 param dump` wrote.
+    """
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter[Any]]
+                                  ) -> SetParametersResult:
+        """Set parameters together, those that are not what they are to be."""
+        for name in (given.name for given in parameter_list):
+            if not self.has_parameter(name):
+                return SetParametersResult(successful=False, reason=(
+                    f'{name}: this node has no value of it; give one where it is started'
+                    if name in parameters() else unknown(name)))
+        parameter_list = [self._as_declared(given) for given in parameter_list]
+        changed = [given for given in parameter_list if not self._holds(given)]
+        if not changed:
+            return SetParametersResult(successful=True)
+        return super().set_parameters_atomically(changed)
+
+    def _as_declared(self, given: Parameter[Any]) -> Parameter[Any]:
+        """Return numbers as numbers: `ros2 param` sends 1e-5, which has no point, as a text."""
+        kind = self.get_parameter(given.name).type_
+        if given.type_ == Parameter.Type.STRING and kind in _DOUBLES:
+            try:
+                values = [float(word) for word in given.value.strip('[] ').split(',')]
+            except ValueError:
+                return given
+            if kind == Parameter.Type.DOUBLE_ARRAY:
+                return Parameter(given.name, kind, values)
+            if len(values) == 1:
+                return Parameter(given.name, kind, values[0])
+        return given
+
+    def _holds(self, given: Parameter[Any]) -> bool:
+        has, arrays = self.get_parameter(given.name), (list, array)
+        if isinstance(has.value, arrays) and isinstance(given.value, arrays):
+            # YAML does not tell the type of an empty list.
+            return list(has.value) == list(given.value)
+        return bool(has.type_ == given.type_ and has.value == given.value)
 
 
 def declare(node: Node, *groups: str) -> Scenario:
@@ -37,19 +86,29 @@ def declare(node: Node, *groups: str) -> Scenario:
         For an unknown parameter, a wrong type or an impossible value.
     """
     overrides: dict[str, Parameter] = node._parameter_overrides     # rclpy has no public way
-    scenario = from_flat({name: given.value for name, given in overrides.items()})
+    scenario = from_flat({name: given.value for name, given in overrides.items()
+                          if given.value is not None})      # as an empty list in a file is
     values = scenario.flat()
     for name, parameter in parameters().items():
         if name.split('.')[0] not in groups:
             continue
         value = values.get(name)
-        if isinstance(value, tuple):
-            value = list(value)
-        if value is None or value == []:        # rclpy can not tell the type from the value
-            kind = _TYPES[parameter.element] + ('_ARRAY' if parameter.is_array else '')
-            value = Parameter.Type[kind]
-        node.declare_parameter(name, value, _descriptor(parameter), ignore_override=True)
+        if value == ():
+            _declare_empty(node, name, parameter)
+        elif value is not None:
+            node.declare_parameter(name, list(value) if isinstance(value, tuple) else value,
+                                   _descriptor(parameter), ignore_override=True)
     return scenario
+
+
+def _declare_empty(node: Node, name: str, parameter: Declared) -> None:
+    """Declare an empty list, whose type rclpy can not tell from the value."""
+    kind = Parameter.Type[_TYPES[parameter.element] + '_ARRAY']
+    node.declare_parameter(name, kind, ignore_override=True)
+    node.set_parameters([Parameter(name, kind, [])])
+    descriptor = _descriptor(parameter)
+    descriptor.type = kind.value
+    node.set_descriptor(name, descriptor)
 
 
 def follow(node: Node, scenario: Scenario, on_change: Callable[[Scenario], None]) -> None:

@@ -6,14 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rclpy.node import Node
-
 from starcal_ros.config.scenario import SimulationConfig, stamp_ns
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock, passing_time
+from starcal_ros.nodes.base.parameters import AnsweringNode
 
 
-class Simulator(Node):
+class Simulator(AnsweringNode):
     """A node that publishes items in the rhythm of their stamps."""
 
     def begin(self, simulation: SimulationConfig, sensor: FlowPublisher, items: Iterator[Item]

@@ -1,0 +1,97 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What `ros2 param` asks of each node, with the requests that it makes."""
+
+import json
+import signal
+
+import pytest
+
+rclpy = pytest.importorskip('rclpy')
+
+from rcl_interfaces.msg import ParameterType  # noqa: E402
+from rcl_interfaces.srv import (DescribeParameters, GetParameters, ListParameters,  # noqa: E402
+                                SetParameters)
+from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
+
+from instruments import CONFIG, TAN2018  # noqa: E402
+from peer import PATIENCE_S  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.nodes.composed import NODES  # noqa: E402
+from starcal_ros.simulation.write_recording import simulate  # noqa: E402
+
+CAMERA = parameter_file.load(CONFIG).camera
+OWN = {'recorder': 'recorder.topics', 'player': 'player.topics'}
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    path = tmp_path_factory.mktemp('bag') / 'run.mcap'
+    simulate(TAN2018.replace({'simulation.duration_s': 1.0}), path)
+    return path
+
+
+def dump(peer, node):
+    """Return the parameters of a node as `ros2 param dump` gets them: names, then all values."""
+    names = sorted(peer.call(ListParameters, f'{node}/list_parameters').result.names)
+    values = peer.call(GetParameters, f'{node}/get_parameters',
+                       GetParameters.Request(names=names)).values
+    assert len(values) == len(names)
+    return {name: value for name, value in zip(names, values)}
+
+
+def put(peer, node, *given):
+    """Set parameters one by one, as `ros2 param load` does; return the results."""
+    request = SetParameters.Request(parameters=[each.to_parameter_msg() for each in given])
+    return peer.call(SetParameters, f'{node}/set_parameters', request).results
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_all_parameters_are_dumped_described_loaded_and_started_with(
+        start, peer, bag, name, tmp_path):
+    words = ('-p', f'player.bag:={bag}', '-p', f'recorder.output:={tmp_path}/run.mcap',
+             '-p', 'player.wait_for_subscribers:=9', '-p', 'simulation.wait_for_subscribers:=9',
+             '-p', f'estimator.calibration_directory:={tmp_path}')
+    process = start(name, '--params-file', str(CONFIG), *words, '-r', '__node:=first')
+    first = dump(peer, 'first')
+    assert ParameterType.PARAMETER_NOT_SET not in {value.type for value in first.values()}
+    described = peer.call(DescribeParameters, 'first/describe_parameters',
+                          DescribeParameters.Request(names=list(first))).descriptors
+    assert [each.type for each in described] == [value.type for value in first.values()]
+    values = {key: parameter_value_to_python(value) for key, value in first.items()}
+    for each in put(peer, 'first', *(Parameter(key, Parameter.Type(first[key].type), value)
+                                     for key, value in values.items())):
+        assert each.successful, each.reason
+    if name in OWN:                             # YAML does not tell the type of an empty list
+        assert values[OWN[name]] == []
+        assert put(peer, 'first', Parameter(OWN[name], Parameter.Type.BOOL_ARRAY, []))[
+            0].successful
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 0
+    (tmp_path / 'run.mcap').unlink(missing_ok=True)
+    file = tmp_path / 'dumped.yaml'
+    # In JSON, which is YAML: `ros2 param dump` writes the axis y bare, which rcl takes for a bool.
+    file.write_text(json.dumps({'/**': {'ros__parameters': {
+        key: value if isinstance(value, (str, float, int)) else list(value)
+        for key, value in values.items()}}}))
+    again = start(name, '--params-file', str(file), '-r', '__node:=second')
+    assert dump(peer, 'second') == first
+    again.send_signal(signal.SIGINT)
+    assert again.wait(PATIENCE_S) == 0
+
+
+def test_name_that_can_not_be_set_is_answered_with_the_nearest_one(start, peer):
+    start('estimator', '--params-file', str(CONFIG))
+    answers = put(peer, 'estimator', Parameter('estimator.gate_probabilty', value=0.9),
+                  Parameter('truth.gyro.bias_deg_h', value=[1.0, 1.0, 1.0]),
+                  Parameter('camera.focal_length_mm', value=1.0),
+                  Parameter('estimator.gate_probability', value=0.9),
+                  Parameter('estimator.gate_probability', value='99e-2'),   # as from a terminal
+                  Parameter('camera.distortion', value=str([0, *CAMERA.distortion[1:]])),
+                  Parameter('estimator.gate_probability', value='likely'))
+    assert [each.successful for each in answers] == [False] * 3 + [True] * 3 + [False]
+    assert dump(peer, 'estimator')['estimator.gate_probability'].double_value == 0.99
+    assert answers[0].reason.endswith(
+        'unknown parameter; did you mean estimator.gate_probability?')
+    assert answers[1].reason.startswith('truth.gyro.bias_deg_h: this node has no value of it')
+    assert 'read-only' in answers[2].reason
