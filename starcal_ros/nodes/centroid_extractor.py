@@ -53,6 +53,7 @@ class CentroidExtractor(ManagedNode):
     def _measure(self, message: bytes) -> None:
         stamp_ns, frame_id, image = decode_image(message)
         frame, left_out = self._meter.measure(image, stamp_ns)
+        self._tally.newest_ns = stamp_ns
         self._tally.done.update({'images': 1, 'spots': len(frame.uv_raster),
                                  'spots left out': left_out})
         self._spots.publish(cdr_pointcloud.encode_centroids(frame, frame_id)[0])

@@ -18,6 +18,7 @@ from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.stamps import status_stamp
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
 from starcal_ros.nodes.estimator_results import Results
 from starcal_ros.results import initial, result
@@ -101,8 +102,9 @@ class Estimator(ManagedNode):
             self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
-        self._results.publish_diagnostics(self._diagnostics.message(
-            self._calibrator, self._enabled, self._progress))
+        message = self._diagnostics.message(self._calibrator, self._enabled, self._progress)
+        message.header.stamp = status_stamp(self, self._calibrator.stamp_ns)
+        self._results.publish_diagnostics(message)
 
     # Services and parameters
 

@@ -11,10 +11,11 @@ from starcal_ros.calibration.camera_verdict import CameraVerdict
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter.verdict import INCONSISTENT
+from starcal_ros.nodes.base.stamps import status_stamp
 
 
-def message(node: Node, estimate: CameraEstimate | None, judged: CameraVerdict | None
-            ) -> DiagnosticArray:
+def message(node: Node, estimate: CameraEstimate | None, judged: CameraVerdict | None,
+            newest_ns: int) -> DiagnosticArray:
     """Return verdict, counts, sigmas and each test; WARN while there is no camera."""
     prefix = f'{node.get_namespace().strip("/")}/'.lstrip('/')
     values: dict[str, str] = {}
@@ -40,5 +41,5 @@ def message(node: Node, estimate: CameraEstimate | None, judged: CameraVerdict |
         name=f'{prefix}starcal: intrinsics', level=level, message=text,
         hardware_id=f'{prefix}star_tracker',
         values=[KeyValue(key=key, value=value) for key, value in values.items()])])
-    out.header.stamp = node.get_clock().now().to_msg()
+    out.header.stamp = status_stamp(node, newest_ns)
     return out

@@ -73,9 +73,10 @@ class IntrinsicsEstimator(ManagedNode):
         for text in self._method.take_notices():
             self.get_logger().warning(text)
         judged = None if estimate is None else self._method.judge(estimate, _STARS)
-        self._diagnostics.publish(intrinsics_diagnostics.message(self, estimate, judged))
+        stamp_ns = self._method.stamp_ns
+        self._diagnostics.publish(
+            intrinsics_diagnostics.message(self, estimate, judged, stamp_ns))
         if estimate is not None:
-            stamp_ns = self._method.stamp_ns
             self._camera.publish(CONTENTS.camera_info(
                 stamp_ns, estimate.intrinsics, self._detector))
             self._state.publish(CONTENTS.intrinsics(stamp_ns, estimate))

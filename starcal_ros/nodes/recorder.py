@@ -3,18 +3,19 @@
 """Node `recorder`: writes the topics of the suite to one MCAP file, without loss at any speed.
 
 The log time of a message is its stamp, not the time of its arrival: a run that was simulated at
-twenty times its speed is then played back at its own. A message without stamp, or with that of
-the wall clock (diagnostics), gets the newest stamp that came from the same source. A stamp that
-goes backward gets the newest of its topic, so each topic keeps its order of arrival; so does one
-that is an hour ahead, until the next one is, too.
+twenty times its speed is then played back at its own. The stamp stands in the header, or inside
+(`nodes.base.stamps`). A message without one, or a status with that of a clock that is an hour from
+the run's, gets the newest stamp that came from the same source. A stamp that goes backward gets
+the newest of its topic, so each topic keeps its order of arrival; so does one that is an hour
+ahead, until the next one is, too.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 import json
-import struct
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,8 @@ from starcal_ros.config import parameter_file
 from starcal_ros.messages.topics import DIAGNOSTICS, TOPICS, TRUE_PARAMETERS, Topic
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.qos import LATCHED, is_stamped, message_type, offered_qos
+from starcal_ros.nodes.base.qos import message_type, offered_qos
+from starcal_ros.nodes.base.stamps import FAR_NS, is_of_ros, stamp_reader
 from starcal_ros.recording.qos import Qos
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.recording.writer import Batch, Writer
@@ -35,7 +37,7 @@ from starcal_ros.simulation.truth import VECTOR_SIZE, from_vector
 _FLUSH_S = 1.0                  # a killed recorder loses no more than this
 _FLUSH_BYTES = 16 << 20
 _SEARCH_S = 0.2
-_FAR_NS = 3600 * 10**9
+_LATEST = 100                   # latched messages of a publisher that are told from new ones
 
 
 @dataclass
@@ -44,7 +46,8 @@ class _Channel:
 
     type_name: str
     latched: bool
-    stamped: bool
+    stamp_ns: Callable[[bytes], int | None]     # of a message
+    of_ros: bool            # its stamps are ROS time, not those of the sensors
     source: str             # topics of one source run by one clock
     qos: tuple[Qos, ...] = ()
     newest_ns: int = 0
@@ -52,12 +55,12 @@ class _Channel:
     log_times_ns: list[int | None] = field(default_factory=list)
     messages: list[bytes] = field(default_factory=list)
     count: int = 0
-    latest: deque[bytes] = field(default_factory=lambda: deque(maxlen=LATCHED.depth))
+    latest: deque[bytes] = field(default_factory=lambda: deque(maxlen=_LATEST))
     known: set[bytes] = field(default_factory=set)      # latched, and recorded before a pause
 
     def log_time_ns(self, stamp_ns: int) -> int:
         """Return the log time of the next message."""
-        far = self.newest_ns > 0 and stamp_ns > self.newest_ns + _FAR_NS
+        far = self.newest_ns > 0 and stamp_ns > self.newest_ns + FAR_NS
         if not far or self.is_ahead:
             self.newest_ns = max(self.newest_ns, stamp_ns)
         self.is_ahead = far and not self.is_ahead
@@ -121,10 +124,9 @@ class Recorder(ManagedNode):
         if kind is None:
             self.get_logger().debug(f'{name} is not recorded: {topic.type_name} is not installed')
             return
-        # The stamp of diagnostics is the wall clock, also in a simulated run.
-        stamped = is_stamped(kind) and not name.endswith(DIAGNOSTICS.name)
         channel = self._channels.setdefault(name, _Channel(
-            topic.type_name, topic.latched, stamped, source or name.rsplit('/', 1)[0]))
+            topic.type_name, topic.latched, stamp_reader(kind),
+            is_of_ros(kind) or name.endswith(DIAGNOSTICS.name), source or name.rsplit('/', 1)[0]))
         channel.known = set(channel.latest) if topic.latched else set()
         self.listen(topic, lambda batch: self._take(channel, batch))
 
@@ -141,14 +143,18 @@ class Recorder(ManagedNode):
         if channel.known:           # a latched message comes once more to who subscribes again
             batch, given = [message for message in batch if message not in channel.known], batch
             channel.known.difference_update(given)
-        if channel.stamped:
-            channel.log_times_ns += [channel.log_time_ns(_stamp_ns(message)) for message in batch]
-            self._newest_ns[channel.source] = max(channel.newest_ns,
-                                                  self._newest_ns.get(channel.source, 0))
-        else:
-            channel.log_times_ns += [self._newest_ns.get(channel.source)] * len(batch)
+        newest_ns = self._newest_ns.get(channel.source)
+        for stamp_ns in map(channel.stamp_ns, batch):
+            if channel.of_ros or stamp_ns is None:
+                log_time = None if newest_ns is None else _near(stamp_ns, newest_ns)
+            else:
+                log_time = channel.log_time_ns(stamp_ns)
+                newest_ns = max(newest_ns or 0, log_time)
+            channel.log_times_ns.append(log_time)
+        if newest_ns is not None:
+            self._newest_ns[channel.source] = newest_ns
         channel.messages += batch
-        channel.latest.extend(batch[-LATCHED.depth:])
+        channel.latest.extend(batch[-_LATEST:])
         channel.count += len(batch)
         self._n_bytes += sum(map(len, batch))
         if self._n_bytes > _FLUSH_BYTES:
@@ -159,14 +165,15 @@ class Recorder(ManagedNode):
 
         What came before the first stamp of its source waits for one, of any source.
         """
-        first_ns = min((t for channel in self._channels.values() if channel.stamped
-                        for t in channel.log_times_ns[:1] if t is not None), default=otherwise_ns)
+        first_ns = min((t for channel in self._channels.values()
+                        for t in channel.log_times_ns if t is not None), default=otherwise_ns)
         batches = []
         for name, channel in self._channels.items():
             if not channel.messages or (None in channel.log_times_ns and first_ns is None):
                 continue
             channel.qos = channel.qos or offered_qos(self, name, channel.latched)
-            log_time = [first_ns if t is None else t for t in channel.log_times_ns]
+            log_time = [_near(channel.stamp_ns(message), first_ns) if t is None else t
+                        for t, message in zip(channel.log_times_ns, channel.messages)]
             batches.append(Batch(name, channel.type_name, np.array(log_time, np.int64),
                                  channel.messages, channel.qos))
             channel.messages, channel.log_times_ns = [], []
@@ -176,10 +183,10 @@ class Recorder(ManagedNode):
             self._writer.flush()
 
 
-def _stamp_ns(message: bytes) -> int:
-    # Behind four bytes of encapsulation; the second of them tells the byte order.
-    sec, nanosec = struct.unpack_from('<iI' if message[1] & 1 else '>iI', message, 4)
-    return int(sec * 10**9 + nanosec)
+def _near(stamp_ns: int | None, newest_ns: int) -> int:
+    """Return a stamp, or that of the run where there is none or it is of another clock."""
+    far = stamp_ns is None or abs(stamp_ns - newest_ns) > FAR_NS
+    return newest_ns if far else stamp_ns
 
 
 def main(args: list[str] | None = None) -> int:

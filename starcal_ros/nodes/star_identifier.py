@@ -75,6 +75,7 @@ class StarIdentifier(ManagedNode):
         for message in batch:
             for frames in decoded([message], cdr_pointcloud.decode_centroids, self._drop):
                 self._identifier.add_frames(frames)
+                self._tally.newest_ns = int(frames.stamp_ns[-1])
                 self._waiting.append(_Waiting(message, time.monotonic()))
         self._advance()
 

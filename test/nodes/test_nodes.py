@@ -108,6 +108,24 @@ def test_each_frame_gives_one_of_each_result(live):
     assert counts['/diagnostics'] >= 1
 
 
+def test_log_times_are_the_stamps_that_the_messages_carry(live):
+    """In the header, in the data of the state; a status from before the first frame has none."""
+    bag = open_bag(live)
+    for topic in bag.topics():
+        log_times = bag.log_times(topic.name)
+        got = messages(live, topic.name)
+        if topic.name.endswith('/state'):
+            stamps = [round(m.data[0] * 1e6) * 1000 for m in got]
+        elif topic.name.endswith('/parameters'):
+            continue                # the truth has no stamp
+        else:
+            stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in got]
+        if topic.name == '/diagnostics':
+            assert set(stamps) & set(log_times.tolist())
+            stamps = [min(stamp, log_time) for stamp, log_time in zip(stamps, log_times)]
+        np.testing.assert_array_equal(log_times, stamps, topic.name)
+
+
 def test_each_gyro_reading_gives_one_attitude_that_agrees_with_the_truth(live, recorded):
     imus = messages(live, '/starcal/imu')
     stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in imus])

@@ -13,15 +13,24 @@ import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import CameraInfo  # noqa: E402
+from std_msgs.msg import (Float64MultiArray, MultiArrayDimension,  # noqa: E402
+                          MultiArrayLayout)
 
+from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.messages.cdr_imu import encode_imu  # noqa: E402
+from starcal_ros.messages import topics  # noqa: E402
+from starcal_ros.messages.conventions import STATE_LAYOUT  # noqa: E402
+from starcal_ros.nodes.base.stamps import stamp_reader  # noqa: E402
 from starcal_ros.nodes.recorder import Recorder  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.bag import open_bag  # noqa: E402
 from starcal_ros.recording.qos import LATCHED  # noqa: E402
-from starcal_ros.recording.writer import Writer  # noqa: E402
+from starcal_ros.recording.writer import Writer, serialize, typestore  # noqa: E402
+from starcal_ros.simulation.write_recording import CONTENTS  # noqa: E402
 
 START_NS, N_GYRO, N_FRAMES = 1_782_993_600_000_000_000, 3000, 60
 EMPTY_ARRAY = b'\0\1\0\0' + bytes(12)       # a Float64MultiArray in CDR
@@ -119,6 +128,7 @@ def test_one_wrong_stamp_does_not_spoil_the_log_times_and_a_new_time_is_taken(tm
     recorder = Recorder(namespace='here', parameter_overrides=[
         Parameter('recorder.output', value=str(path)),
         Parameter('recorder.topics', value=['imu/data_raw'])])
+    recorder._subscribe(topics.IMU._replace(name='/here/imu/data_raw'))
     for message in encode_imu(GyroSamples(stamps, np.zeros((8, 3)))):
         recorder._take(recorder._channels['/here/imu/data_raw'], [message.tobytes()])
     recorder.close()
@@ -126,6 +136,65 @@ def test_one_wrong_stamp_does_not_spoil_the_log_times_and_a_new_time_is_taken(tm
     rclpy.shutdown()
     log_times = open_bag(path).log_times('/here/imu/data_raw')
     assert ((log_times - START_NS) // second).tolist() == [0, 1, 1, 2, 3, 3, 10**8 + 1, 10**8 + 2]
+
+
+def test_log_time_is_the_stamp_inside_and_that_of_the_run_for_another_clock(
+        start, peer, tmp_path):
+    """All is published before the recorder is awake again, so it comes in batches, by topic."""
+    path, second = tmp_path / 'run.mcap', 10**9
+    recorder = start('recorder', '-p', f'recorder.output:={path}')
+    state = peer.node.create_publisher(Float64MultiArray, 'starcal/state', 100)
+    camera = peer.node.create_publisher(CameraInfo, 'starcal/camera_info', 100)
+    status = peer.node.create_publisher(DiagnosticArray, 'diagnostics', 100)
+    peer.until(lambda: min(each.get_subscription_count() for each in (state, camera)) == 1
+               and status.get_subscription_count() == 2)
+    recorder.send_signal(signal.SIGSTOP)
+    stamps = [START_NS + k * second for k in range(20)]
+    for stamp in stamps:
+        layout = MultiArrayLayout(dim=[MultiArrayDimension(label=STATE_LAYOUT[0][0], size=1)])
+        state.publish(Float64MultiArray(layout=layout, data=[stamp * 1e-9]))
+        for publisher, message, shift in ((camera, CameraInfo(), 0), (status, DiagnosticArray(), 1),
+                                          (status, DiagnosticArray(), 10**8)):
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+                stamp + shift * second, second)
+            publisher.publish(message)
+    recorder.send_signal(signal.SIGCONT)
+    recorder.send_signal(signal.SIGINT)
+    assert recorder.wait(PATIENCE_S) == 0
+    log_times = {name: sorted(open_bag(path).log_times(name).tolist())
+                 for name in ('/starcal/state', '/starcal/camera_info', '/diagnostics')}
+    assert log_times['/starcal/state'] == log_times['/starcal/camera_info'] == stamps
+    assert set(log_times['/diagnostics']) <= {*stamps, stamps[-1] + second}
+    assert {stamp + second for stamp in stamps} <= set(log_times['/diagnostics'])
+
+
+class Transforms:
+    """Stands for tf2_msgs/TFMessage, which is not among the packages of the tests."""
+
+    @staticmethod
+    def get_fields_and_field_types():
+        return {'transforms': 'sequence<geometry_msgs/TransformStamped>'}
+
+
+def test_stamp_of_transforms_is_that_of_the_first():
+    message = CONTENTS.transform(START_NS + 7, np.eye(3))
+    named = typestore().types['tf2_msgs/msg/TFMessage']
+    of_transforms = stamp_reader(Transforms)
+    assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named([message]))) == START_NS + 7
+    assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named([]))) is None
+
+
+def test_only_topics_that_somebody_publishes_are_in_the_graph(start, peer, tmp_path):
+    recorder = start('recorder', '-p', f'recorder.output:={tmp_path}/run.mcap')
+    assert any('recording to' in line for line in recorder.stderr)
+    truth = peer.node.create_publisher(Float64MultiArray, 'truth/parameters', 10)
+    peer.until(truth.get_subscription_count)
+    own = {'/star_tracker/centroids', '/imu/data_raw'}
+    for name, _ in peer.node.get_topic_names_and_types():
+        assert peer.node.count_publishers(name) or peer.node.count_subscribers(name) == (
+            name in ('/starcal/state', '/diagnostics')), name       # the peer itself listens
+        own.discard(name)
+    assert not own
 
 
 def test_recorder_refuses_to_overwrite(bag):

@@ -11,6 +11,7 @@ from rclpy.node import Node
 
 from starcal_ros.messages import topics
 from starcal_ros.nodes.base import run_loop
+from starcal_ros.nodes.base.stamps import status_stamp
 
 _PERIOD_S = 1.0
 
@@ -30,6 +31,8 @@ class Tally:
         What has been done, by what it is.
     faults : Counter
         What was wrong with messages, by its kind.
+    newest_ns : int
+        Stamp of the last message that was of use.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -38,6 +41,7 @@ class Tally:
         self._name = name
         self.done: Counter[str] = Counter()
         self.faults: Counter[str] = Counter()
+        self.newest_ns = 0
         self._said: Counter[str] = Counter()
         # Depth 1: the newest counts are all that anybody wants, and nobody is waited for.
         self._publisher = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 1)
@@ -67,5 +71,5 @@ class Tally:
             hardware_id=f'{self._prefix}star_tracker',
             values=[KeyValue(key=what, value=str(number))
                     for what, number in [*self.done.items(), *self.faults.items()]])])
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = status_stamp(self._node, self.newest_ns)
         self._publisher.publish(message)
