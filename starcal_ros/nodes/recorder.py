@@ -8,6 +8,8 @@ twenty times its speed is then played back at its own. The stamp stands in the h
 the run's, gets the newest stamp that came from the same source. A stamp that goes backward gets
 the newest of its topic, so each topic keeps its order of arrival; so does one that is an hour
 ahead, until the next one is, too.
+
+A topic is subscribed to as soon as somebody publishes it, so that the graph shows no others.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from starcal_ros.simulation.truth import VECTOR_SIZE, from_vector
 
 _FLUSH_S = 1.0                  # a killed recorder loses no more than this
 _FLUSH_BYTES = 16 << 20
-_SEARCH_S = 0.2
+_SEARCH_S = 0.05
 _LATEST = 100                   # latched messages of a publisher that are told from new ones
 
 
@@ -88,11 +90,9 @@ class Recorder(ManagedNode):
                             'application/yaml')
 
     def activate(self) -> None:
-        """Subscribe to the topics."""
-        self._searched = {name for name in self._wanted if name not in self._known}
-        for name in self._wanted:
-            if topic := self._known.get(name):
-                self._subscribe(topic._replace(name=name), 'estimator' if topic.result else '')
+        """Subscribe to the topics that are published, and to the others when they are."""
+        self._searched = [*self._wanted]
+        self._search()
         self.repeat(_FLUSH_S, self._flush)
         self.repeat(_SEARCH_S, self._search)
         self.get_logger().info(f'recording to {self._writer.path}')
@@ -131,13 +131,17 @@ class Recorder(ManagedNode):
         self.listen(topic, lambda batch: self._take(channel, batch))
 
     def _search(self) -> None:
-        """Subscribe to the topics whose type only the graph knows, when it does."""
-        types = dict(self.get_topic_names_and_types()) if self._searched else {}
-        for name in sorted(self._searched & types.keys()):
-            latched = any(info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-                          for info in self.get_publishers_info_by_topic(name))
+        """Subscribe to the topics that have a publisher by now."""
+        for name in [name for name in self._searched if self.count_publishers(name)]:
+            if topic := self._known.get(name):
+                self._subscribe(topic._replace(name=name), 'estimator' if topic.result else '')
+            elif types := dict(self.get_topic_names_and_types()).get(name):
+                latched = any(info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                              for info in self.get_publishers_info_by_topic(name))
+                self._subscribe(Topic(name, types[0], latched))
+            else:
+                continue        # its type is not known yet
             self._searched.remove(name)
-            self._subscribe(Topic(name, types[name][0], latched))
 
     def _take(self, channel: _Channel, batch: list[bytes]) -> None:
         if channel.known:           # a latched message comes once more to who subscribes again

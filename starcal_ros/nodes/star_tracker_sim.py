@@ -42,14 +42,15 @@ class StarTrackerSim(Simulator):
         except ValueError as error:         # a catalogue that does not reach so deep
             raise ConfigError(str(error)) from None
         self._truth = self._simulator.truth
-        self._images = (FlowPublisher(self, Image, topics.IMAGES.name)
-                        if self._renderer else None)
+        # The topic that the run waits for comes last: who listens to it has found the others.
+        info = FlowPublisher(self, CameraInfo, topics.NOMINAL_CAMERA.name, latched=True)
+        truth = FlowPublisher(self, Float64MultiArray, topics.TRUE_PARAMETERS.name, latched=True)
+        self._attitude = FlowPublisher(self, QuaternionStamped, topics.TRUE_ATTITUDE.name)
         self._centroids = FlowPublisher(
             self, PointCloud2,
             (topics.TRUE_CENTROIDS if self._renderer else topics.CENTROIDS).name)
-        self._attitude = FlowPublisher(self, QuaternionStamped, topics.TRUE_ATTITUDE.name)
-        info = FlowPublisher(self, CameraInfo, topics.NOMINAL_CAMERA.name, latched=True)
-        truth = FlowPublisher(self, Float64MultiArray, topics.TRUE_PARAMETERS.name, latched=True)
+        self._images = (FlowPublisher(self, Image, topics.IMAGES.name)
+                        if self._renderer else None)
         info.publish(CONTENTS.camera_info(
             self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
         values = self._truth.vector()

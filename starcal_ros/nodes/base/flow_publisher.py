@@ -8,10 +8,10 @@ itself then refuses what it cannot keep. A subscriber that falls behind fills it
 until it succeeds, so the slowest subscriber sets the pace and nothing is lost. A subscriber that
 died without a word is forgotten when its lease ends (Fast DDS: 20 s).
 
-A latched topic (results, truth) is transient local and keeps its last messages. `FlowPublisher`
-waits where it would overwrite one that a subscriber has not acknowledged. With a depth of 1 that
-would be before each message, and an acknowledgement takes 5 ms, or 3 s where one is missed and
-nothing more is published. So the depth is 100; who asks for the last one gets the last one.
+A latched topic (results, truth) is transient local and keeps its last message: of several, who
+comes late would get the oldest first, and `ros2 topic echo --once` show that. `FlowPublisher` waits
+where it would overwrite one that a subscriber has not acknowledged. That takes 5 ms, or 3 s where
+the acknowledgement is missed, and most have come when the next result is ready.
 
 The other side is `matched_subscription`.
 """
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 import math
-import sys
 import time
 from typing import Any
 
@@ -49,7 +48,7 @@ class FlowPublisher:
     message_type : type
     topic : str
     latched : bool
-        Keep the last messages for those who come late, instead of streaming.
+        Keep the last message for those who come late, instead of streaming.
     patience_s : float
         Longest wait for a subscriber that takes nothing. After that messages are lost to it,
         which is said, until it takes some again: a node that serves real sensors can not stop
@@ -64,8 +63,6 @@ class FlowPublisher:
             event_callbacks=PublisherEventCallbacks(
                 incompatible_qos=self._on_incompatible, use_default_callbacks=False))
         self.latched = latched
-        self._depth = LATCHED.depth if latched else sys.maxsize
-        self._unacknowledged = 0        # messages since all were acknowledged
         self._log = node.get_logger()
         self._waiting_since: float | None = None
         self._patience_s = patience_s
@@ -106,7 +103,10 @@ class FlowPublisher:
                 return False
             if self._waited_s > self._patience_s:
                 self._lose()
-                return False
+                if not self.latched:
+                    return False
+                self._publisher.publish(message)        # the others get it all the same
+                return True
             self._tell_waiting()
         self._tell_going_on()
         return True
@@ -121,15 +121,10 @@ class FlowPublisher:
                 time.sleep(1e-3)            # in case the middleware did not wait
                 return False
             self._publisher.publish(message)            # nobody to wait for: a real error
-        self._unacknowledged += 1
         return True
 
     def _has_room(self) -> bool:
-        # From half the depth on, each message first waits a little for all acknowledgements. It
-        # is published without them while there is room: that asks the subscribers once more.
-        if self._unacknowledged >= self._depth // 2 and self._publisher.wait_for_all_acked(_POLL):
-            self._unacknowledged = 0
-        return self._unacknowledged < self._depth
+        return not self.latched or self._publisher.wait_for_all_acked(_POLL)
 
     @property
     def _waited_s(self) -> float:

@@ -15,7 +15,7 @@ from starcal_ros.recording import qos as recorded
 STREAM = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL,
                     durability=DurabilityPolicy.VOLATILE)
 LATCHED = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST,
-                     durability=DurabilityPolicy.TRANSIENT_LOCAL, depth=100)
+                     durability=DurabilityPolicy.TRANSIENT_LOCAL, depth=1)
 POLICIES = {QoSPolicyKind.DURABILITY: 'durability: the last messages for who comes late',
             QoSPolicyKind.DEADLINE: 'deadline: a message at least so often',
             QoSPolicyKind.LIVELINESS: 'liveliness: a sign of life at least so often',
@@ -32,12 +32,6 @@ def message_type(type_name: str) -> type | None:
     except ImportError:
         return None
     return found
-
-
-def is_stamped(kind: type) -> bool:
-    """Tell whether a message type begins with a header."""
-    fields: dict[str, str] = kind.get_fields_and_field_types()      # type: ignore[attr-defined]
-    return next(iter(fields.items()), None) == ('header', 'std_msgs/Header')
 
 
 def offered_qos(node: Node, topic: str, latched: bool) -> tuple[recorded.Qos, ...]:
