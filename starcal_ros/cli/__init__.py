@@ -19,8 +19,8 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.workflows.live_run import NodeError
 
-COMMANDS = ('demo', 'simulate', 'calibrate', 'intrinsics', 'bootstrap', 'montecarlo', 'reproduce',
-            'play', 'watch', 'info')
+COMMANDS = ('demo', 'simulate', 'calibrate', 'intrinsics', 'bootstrap', 'allan', 'montecarlo',
+            'reproduce', 'play', 'watch', 'info')
 """In the order in which the usage lists them."""
 
 

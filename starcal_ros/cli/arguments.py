@@ -14,7 +14,7 @@ from starcal_ros.config.instrument import CameraConfig, MountingConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.shipped import config_file
-from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, TopicChoice
+from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, Role, TopicChoice
 
 SIMULATORS = ('star_tracker_sim', 'gyro_sim')
 SIMULATED = (*SIMULATORS, 'estimator')
@@ -28,12 +28,21 @@ def add_bag(parser: argparse.ArgumentParser) -> None:
 
 def add_topics(parser: argparse.ArgumentParser, images: bool = True) -> None:
     """Add the options that choose topics of a recording, for `topics`."""
-    for role, what in ((GYRO, 'the gyro readings'), (FRAMES, 'the star centroids'),
-                       (IMAGE, 'the star images')):
-        if images or role is not IMAGE:
-            parser.add_argument(
-                role.option, metavar='TOPIC', help=f'topic of {what} ({role.type}), where a '
-                f'recording has several; default: {role.topic}, or the only one of its kind')
+    add_gyro_topic(parser)
+    _add_topic(parser, FRAMES, 'star centroids')
+    if images:
+        _add_topic(parser, IMAGE, 'star images')
+
+
+def add_gyro_topic(parser: argparse.ArgumentParser) -> None:
+    """Add ``--gyro-topic`` alone."""
+    _add_topic(parser, GYRO, 'gyro readings')
+
+
+def _add_topic(parser: argparse.ArgumentParser, role: Role, what: str) -> None:
+    parser.add_argument(
+        role.option, metavar='TOPIC', help=f'topic of the {what} ({role.type}), where a recording '
+        f'has several; default: {role.topic}, or the only one of its kind')
 
 
 def topics(options: argparse.Namespace) -> TopicChoice:

@@ -174,6 +174,41 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     return recording
 
 
+def read_gyro(path: str | Path, on_progress: Callable[[float], None] | None = None,
+              given: str | None = None) -> tuple[GyroSamples, str, tuple[str, ...]]:
+    """Read the gyro samples alone; stars need not be there.
+
+    Returns
+    -------
+    gyro : GyroSamples
+        All samples, in the order of recording.
+    topic : str
+        Where they were read.
+    warnings : tuple of str
+        What could not be read.
+
+    Raises
+    ------
+    RecordError
+        As `read`.
+    """
+    bag, path = open_bag(Path(path)), Path(path)
+    topic = choose(bag, GYRO, path, given)
+    times: list[Ints] = []
+    parts: list[GyroSamples] = []
+    for name, log_time, messages, done in bag.messages([topic.name]):
+        try:
+            parts.append(decode_imu(messages))
+        except RecordError as error:
+            raise RecordError(f'{path}: {name}: {error}') from None
+        times.append(log_time)
+        if on_progress:
+            on_progress(done)
+    found = None if given else notice(bag.topics(), GYRO, topic)
+    gyro = _arrange_gyro(GyroSamples.concatenate(parts), times)
+    return gyro, topic.name, (*bag.warnings, *([found] if found else []))
+
+
 def summary(path: str | Path) -> Summary:
     """Tell what a recording holds, without decoding it.
 

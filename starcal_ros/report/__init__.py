@@ -4,10 +4,10 @@
 
 `states` has the table of the calibrated states, `cameras` those of a camera alone,
 `montecarlo_table` that of a Monte Carlo, `reproduction_table` what a paper has beside ours,
-`convergence` the figure as PNG. `page` puts all of a calibration on one page of HTML (`html`),
-`still_images_page` that of still images: `time_charts` are charts over time, `statistic_charts`
-those of the tests of the innovations, `detector_charts` those over the detector and of the
-residuals.
+`convergence` the figure as PNG, `allan` the noise of a gyro. `page` puts all of a calibration on
+one page of HTML (`html`), `still_images_page` that of still images: `time_charts` are charts over
+time, `statistic_charts` those of the tests of the innovations, `detector_charts` those over the
+detector and of the residuals.
 """
 
 from starcal_ros.report.cameras import camera, chain, still_images, verdict_lines

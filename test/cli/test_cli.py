@@ -352,6 +352,48 @@ def test_play_hands_its_options_to_the_player(starcal, bag, monkeypatch):
                      'player.start_offset_s': '2.5', 'player.loop': 'true'}
 
 
+def test_allan_finds_the_noise_that_was_simulated(starcal, tmp_path):
+    """Two hours at rest: angle random walk 0.02, bias walk 0.5; table, file, JSON and figure."""
+    pytest.importorskip('allantools')
+    bag, out, figure = tmp_path / 'rest.mcap', tmp_path / 'noise.json', tmp_path / 'noise.png'
+    gyro = sensors.gyro(TAN2018.replace({
+        'motion.dwell_s': 1e5, 'gyro.rate_hz': 20.0, 'gyro.arw_deg_sqrt_h': 0.02,
+        'truth.gyro.bias_random_walk_deg_h_sqrt_h': 0.5})).next(144_000)
+    with Writer(bag) as writer:
+        writer.write_batches(imu_batch('/gyro', gyro))
+    done = starcal('allan', bag, '--out', out, '--figure', figure)
+    assert done.status == 0 and 'warning: /gyro is taken for /imu/data_raw' in done.err
+    found = json.loads(out.read_text())
+    for axis in 'xyz':
+        known = found['axes'][axis]['coefficients']
+        assert known['angle_random_walk']['low'] < 0.02 < known['angle_random_walk']['high']
+        assert known['rate_random_walk']['low'] < 0.5 < known['rate_random_walk']['high']
+        assert known['quantisation']['value'] is None
+    assert found['rate_hz'] == pytest.approx(20.0) and found['readings'] == 144_000
+    assert 'not known, <' in done.out and figure.read_bytes().startswith(b'\x89PNG')
+    scenario = parameter_file.parse(done.out[done.out.index('/**:'):], 'its lines')
+    assert scenario.gyro.arw_deg_sqrt_h == pytest.approx(0.02, rel=0.02)
+    assert scenario.estimator.process_noise.gyro_bias_deg_h_sqrt_h == pytest.approx(0.5, rel=0.5)
+    done = starcal('allan', bag, '--gyro-topic', '/gyro', '--json')
+    assert json.loads(done.out)['axes'] == found['axes'] and 'warning' not in done.err
+
+
+def test_allan_says_what_is_used_and_what_is_wrong(starcal, bag, two_gyros, tmp_path,
+                                                   monkeypatch):
+    """The 20 s of rest before the first rotation of T18; two gyros; and no rest at all."""
+    pytest.importorskip('allantools')
+    done = starcal('allan', bag)
+    assert done.status == 0 and 'gyro_bias_deg_h_sqrt_h: not known, below' in done.out
+    assert_refused(starcal('allan', two_gyros), 'allan', '/d435/gyro (sensor_msgs', '--gyro-topic')
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, 'allantools', None)
+        assert_refused(starcal('allan', bag), 'allan', "pip install 'starcal_ros[allan]'")
+    turning = sensors.gyro(TAN2018.replace({'motion.dwell_s': 0.0})).next(2000)
+    with Writer(tmp_path / 'turning.mcap') as writer:
+        writer.write_batches(imu_batch('/imu/data_raw', turning[::100]))
+    assert_refused(starcal('allan', tmp_path / 'turning.mcap'), 'allan', 'too few', status=1)
+
+
 @pytest.fixture(scope='module')
 def two_gyros(bag, tmp_path_factory):
     """Return the same recording with an accelerometer beside the gyro."""
