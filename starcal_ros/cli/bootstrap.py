@@ -45,11 +45,13 @@ def run(options: argparse.Namespace) -> int:
     from starcal_ros.recording import reader
     from starcal_ros.results import result
     try:
-        from starcal_ros.recording.measured_images import measure
+        from starcal_ros.recording.measured_images import as_measured, measure
         from starcal_ros.workflows.bootstrap import bootstrap
         with progress('reading') as on_progress:
             recording = reader.read(options.bag, on_progress, measure=measure(scenario),
                                     images_first=options.images, choice=arguments.topics(options))
+        if recording.measured:
+            scenario = as_measured(scenario)
         with progress('bootstrap') as on_progress:
             chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
     except ImportError as error:

@@ -93,15 +93,18 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
 
 def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     scenario = arguments.scenario_of(options.source, options, _NODES).replace(_given(options))
-    method = calibration.start(scenario)
+    calibration.start(scenario)             # says what is wrong before the reading
     from starcal_ros import report
     from starcal_ros.recording import reader
-    from starcal_ros.recording.measured_images import measure
+    from starcal_ros.recording.measured_images import as_measured, measure
     from starcal_ros.results import result
     with progress('reading') as on_progress:
         recording = reader.read(options.source, on_progress, needs_gyro=False,
                                 measure=measure(scenario), choice=arguments.topics(options))
     frames = recording.frames
+    if recording.measured:
+        scenario = as_measured(scenario)
+    method = calibration.start(scenario)
     with progress('calibrating') as on_progress:
         method.add_gyro(recording.gyro)
         for part in range(_BATCHES):

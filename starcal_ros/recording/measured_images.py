@@ -13,6 +13,11 @@ from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_image import decode_image
 
 
+def as_measured(scenario: Scenario) -> Scenario:
+    """Return the scenario for frames that were measured: their sigmas hold the trail of a star."""
+    return scenario.replace({'star_tracker.smear': False})
+
+
 def measure(scenario: Scenario) -> Callable[[Messages], Frames]:
     """Return what turns sensor_msgs/Image in CDR into star frames, for `reader.read`.
 

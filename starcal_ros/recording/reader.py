@@ -53,6 +53,8 @@ class Recording:
         Of its storage files, in their order.
     warnings : tuple of str
         What could not be read; empty for a sound recording.
+    measured : bool
+        Whether the frames were measured in images.
     """
 
     gyro: GyroSamples
@@ -63,6 +65,7 @@ class Recording:
     path: Path
     sha256: str
     warnings: tuple[str, ...]
+    measured: bool = False
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
         gyro if gyro_topic is None else _arrange_gyro(gyro, times[gyro_topic.name]),
         _arrange_frames(frames, times[frames_topic.name]), bag.attachments,
         gyro_topic.name if gyro_topic else '', frames_topic.name, path, _sha256(bag),
-        (*bag.warnings, *elsewhere, *lost))
+        (*bag.warnings, *elsewhere, *lost), measure is not None and decode is measure)
     if on_progress:
         on_progress(1.0)
     return recording

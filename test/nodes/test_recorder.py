@@ -153,8 +153,9 @@ def test_log_time_is_the_stamp_inside_and_that_of_the_run_for_another_clock(
     for stamp in stamps:
         layout = MultiArrayLayout(dim=[MultiArrayDimension(label=STATE_LAYOUT[0][0], size=1)])
         state.publish(Float64MultiArray(layout=layout, data=[stamp * 1e-9]))
-        for publisher, message, shift in ((camera, CameraInfo(), 0), (status, DiagnosticArray(), 1),
-                                          (status, DiagnosticArray(), 10**8)):
+        for publisher, message, shift in (
+                (camera, CameraInfo(), 0), (status, DiagnosticArray(), 1),
+                (status, DiagnosticArray(), 10**8)):
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(
                 stamp + shift * second, second)
             publisher.publish(message)

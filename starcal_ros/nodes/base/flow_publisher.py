@@ -9,9 +9,9 @@ until it succeeds, so the slowest subscriber sets the pace and nothing is lost. 
 died without a word is forgotten when its lease ends (Fast DDS: 20 s).
 
 A latched topic (results, truth) is transient local and keeps its last message: of several, who
-comes late would get the oldest first, and `ros2 topic echo --once` show that. `FlowPublisher` waits
-where it would overwrite one that a subscriber has not acknowledged. That takes 5 ms, or 3 s where
-the acknowledgement is missed, and most have come when the next result is ready.
+comes late would get the oldest first, and `ros2 topic echo --once` show that. `FlowPublisher`
+waits where it would overwrite one that a subscriber has not acknowledged. That takes 5 ms, or 3 s
+where the acknowledgement is missed, and most have come when the next result is ready.
 
 The other side is `matched_subscription`.
 """
