@@ -147,16 +147,21 @@ def turned(filter_: Filter, belief: Belief, stars: Stars, update: Update) -> Sta
         What the gates of the stars made of it.
     """
     used, usable = int(update.accepted.sum()), int(np.isfinite(stars.sigma).sum())
-    if usable < MIN_STARS or used > _MOST * usable or update.nis <= _TORN * 2 * used:
+    if usable < MIN_STARS or used > _MOST * usable:
         return None
-    found, together = agreed(filter_, filter_.reacquired(belief, belief.estimate.C_gi), stars)
-    seen = np.isfinite(together.sigma)
-    if not seen.any():
+    if used and update.nis <= _TORN * 2 * used:
         return None
-    turn = float(np.linalg.norm(rotation.log(
-        found.estimate.C_si @ np.swapaxes(belief.estimate.C_si, -1, -2))))
-    sigma = stars.sigma[seen].max() * filter_.detector.pitch_mm / belief.estimate.intrinsics[2]
-    return together if turn < _LINEAR * sigma else None
+    now = belief.estimate
+    try:
+        C_gi, _ = _look(filter_, belief, stars)
+    except AcquisitionError:
+        return None
+    turn = float(np.linalg.norm(rotation.log(now.C_sg @ C_gi @ now.C_si.T)))
+    sigma = stars.sigma[np.isfinite(stars.sigma)].max()
+    if turn > _LINEAR * sigma * filter_.detector.pitch_mm / now.intrinsics[2]:
+        return None
+    _, together = agreed(filter_, filter_.reacquired(belief, now.C_gi), stars)
+    return together if np.isfinite(together.sigma).any() else None
 
 
 def _look(filter_: Filter, known: Belief, stars: Stars) -> tuple[Array, Mask]:

@@ -13,9 +13,10 @@ from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros.config.models import observer
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.consensus import consensus
-from starcal_ros.core.units import DEG
+from starcal_ros.core.units import ARCSEC, DEG
 from starcal_ros.filter import acquisition
-from starcal_ros.filter.acquisition import MIN_STARS, WIDE, AcquisitionError, acquire, agreed
+from starcal_ros.filter.acquisition import (MIN_STARS, WIDE, AcquisitionError, acquire, agreed,
+                                            turned)
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
 from starcal_ros.filter.states import CALIBRATED, LENS, SCALE, THETA
@@ -297,6 +298,35 @@ def test_after_a_silence_wrong_stars_are_left_out(place, far):
     np.testing.assert_array_equal(update.accepted, ~wrong)
     error = update.belief.nominal.minus(look.truth)[THETA]
     assert (np.abs(error) < 4.0 * update.belief.tracker_sigma).all()
+
+
+def seen_after(look, arcsec, stars=None):
+    """Return what agrees on a turn of the camera about x that a certain belief denies."""
+    belief = turned_by(look, 1e-4, 1)
+    moved = belief.nominal.without(np.array([arcsec * ARCSEC, *(0.0,) * 15]))
+    belief = replace(belief, nominal=moved)
+    stars = look.stars if stars is None else stars
+    return turned(FILTER, belief, stars, FILTER.update(belief, stars))
+
+
+@pytest.mark.parametrize('place', PLACES)
+def test_stars_that_agree_on_a_turn_which_the_prediction_denies_are_kept(place):
+    """Twenty arcsec are six sigma of a star, of a prediction that is good to 0.4 arcsec."""
+    look = Look(place)
+    for arcsec in (20.0, 60.0):
+        assert np.isfinite(seen_after(look, arcsec).sigma).all()
+    stars, wrong = look.with_wrong_numbers(0.2, True, place)
+    kept = seen_after(look, 40.0, stars)
+    np.testing.assert_array_equal(np.isinf(kept.sigma), wrong)
+
+
+@pytest.mark.parametrize('place', PLACES)
+def test_without_such_a_turn_the_gates_of_the_stars_are_right(place):
+    look = Look(place)
+    assert seen_after(look, 0.0) is None
+    stars, _ = look.with_wrong_numbers(0.4, False, place)
+    assert seen_after(look, 0.0, stars) is None
+    assert seen_after(look, 3600.0) is None         # too large for one step: sought afresh
 
 
 def test_a_frame_without_agreement_is_not_used():

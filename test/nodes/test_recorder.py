@@ -16,13 +16,12 @@ rclpy = pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
-from std_msgs.msg import (Float64MultiArray, MultiArrayDimension,  # noqa: E402
-                          MultiArrayLayout)
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # noqa: E402
 
 from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
-from starcal_ros.messages.cdr_imu import encode_imu  # noqa: E402
 from starcal_ros.messages import topics  # noqa: E402
+from starcal_ros.messages.cdr_imu import encode_imu  # noqa: E402
 from starcal_ros.messages.conventions import STATE_LAYOUT  # noqa: E402
 from starcal_ros.nodes.base.stamps import stamp_reader  # noqa: E402
 from starcal_ros.nodes.recorder import Recorder  # noqa: E402
