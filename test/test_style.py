@@ -13,7 +13,7 @@ import pytest
 
 TOP = Path(__file__).parents[1]
 PACKAGE = TOP / 'starcal_ros'
-WINGS = ('core', 'sky', 'config', 'measurements', 'filter', 'imaging', 'identification',
+WINGS = ('core', 'files', 'sky', 'config', 'measurements', 'filter', 'imaging', 'identification',
          'calibration', 'messages', 'recording', 'results', 'workflows', 'simulation',
          'evaluation', 'reproduction', 'report', 'nodes.base', 'nodes', 'cli')
 """Each imports itself and those before it. What estimates stands before the truth."""

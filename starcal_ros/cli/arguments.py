@@ -130,22 +130,3 @@ def _said(reading: parameter_file.Reading) -> Scenario:
     for text in reading.notices:
         say(f'warning: {text}')
     return reading.scenario
-
-
-def require_writable(path: Path) -> None:
-    """Try it now, not after the work."""
-    existed = path.exists()
-    try:
-        path.open('a').close()
-    except OSError as error:
-        raise ConfigError(f'{path}: cannot be written: {error.strerror}') from None
-    if not existed:
-        path.unlink()
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder to write to, before the work."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f'{path}: cannot be made: {error.strerror}') from None

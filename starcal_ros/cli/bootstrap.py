@@ -8,7 +8,7 @@ import argparse
 import json
 from pathlib import Path
 
-from starcal_ros.cli import arguments
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import STATUS, progress, say, show
 from starcal_ros.config.parameter import ConfigError
 
@@ -32,14 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'centroids')
     parser.add_argument('--out', metavar='RESULT.json',
                         help='the result of the filter, with the camera after each step')
+    outputs.add_overwrite(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     scenario = arguments.scenario_of(options.bag, options, _NODES)
     out = Path(options.out) if options.out else None
-    if out is not None:
-        arguments.require_writable(out)
+    outputs.claim([out], [options.bag, options.config], options.overwrite)
     from starcal_ros import report
     from starcal_ros.filter import verdict
     from starcal_ros.recording import reader

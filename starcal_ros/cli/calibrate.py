@@ -9,13 +9,15 @@ from collections.abc import Iterator
 import json
 from pathlib import Path
 
-from starcal_ros.cli import arguments
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import STATUS, progress, say, show
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.files.output import write_text
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.recording.topic_choice import TopicChoice
+from starcal_ros.results.store import CalibrationStore
 
 SUMMARY = 'calibrate a recording'
 DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
@@ -37,17 +39,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--export', metavar='FOLDER',
                         help='write the calibration for other programs: camera_info.yaml, and '
                         'camchain.yaml and imu.yaml as Kalibr has them')
+    outputs.add_overwrite(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    from starcal_ros.results import export, result
     scenario = arguments.scenario_of(options.bag, options, ('estimator',))
+    folder = Path(options.export) if options.export else None
+    if folder is not None:
+        outputs.make_folder(folder)
+    outputs.claim(
+        [options.out, options.figure, options.report,
+         *([folder / name for name in export.NAMES] if folder else [])],
+        [options.bag, options.config, *_saved(scenario).folders()], options.overwrite)
     calibrator = calibrate_recording(
         options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
-        Path(options.report) if options.report else None,
-        Path(options.export) if options.export else None, arguments.topics(options))
-    from starcal_ros.results import result
+        Path(options.report) if options.report else None, folder, arguments.topics(options))
     return STATUS[result.word(calibrator)]
 
 
@@ -61,21 +70,13 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     from starcal_ros.filter.progress import Progress
     from starcal_ros.recording import reader
     from starcal_ros.results import export, initial, result
-    from starcal_ros.results.store import CalibrationStore
-
-    for path in (out, figure, page):
-        if path is not None:
-            arguments.require_writable(path)
-    if folder is not None:
-        arguments.make_folder(folder)
     with progress('reading') as on_progress:
         recording = reader.read(bag, on_progress, choice=choice)
     contradictions = list(_contradictions(
         recording.attachments.get(reader.CONFIG_ATTACHMENT), scenario))
     for text in contradictions:
         say(f'warning: {text}')
-    start = initial.initial_values(scenario, CalibrationStore(
-        Path(scenario.estimator.calibration_directory)))
+    start = initial.initial_values(scenario, _saved(scenario))
     with progress('calibrating') as on_progress:
         calibrator, history = calibrate(
             recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
@@ -89,7 +90,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     result.write_json(out, outcome)
     if folder is not None:
         for name, content in export.files(outcome, scenario).items():
-            (folder / name).write_text(content, encoding='utf-8')
+            write_text(folder / name, content)
     attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
     truth = json.loads(attached) if attached else None
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
@@ -104,6 +105,10 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
                                      contradictions + notices,
                                      calibrator.consistency.history))
     return calibrator
+
+
+def _saved(scenario: Scenario) -> CalibrationStore:
+    return CalibrationStore(Path(scenario.estimator.calibration_directory))
 
 
 def _contradictions(attached: bytes | None, scenario: Scenario) -> Iterator[str]:

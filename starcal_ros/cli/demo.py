@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from starcal_ros.cli import arguments
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.calibrate import calibrate_recording
 from starcal_ros.cli.terminal import progress, show
 
@@ -40,6 +40,8 @@ def run(options: argparse.Namespace) -> int:
         options, (*arguments.SIMULATED, 'recorder'), duration_s=options.duration,
         real_time_factor=options.factor)
     folder = Path(options.out)
+    outputs.make_folder(folder)
+    outputs.claim([folder / name for name in live_run.FILES], [options.config], overwrite=True)
     live_run.make_room(folder)
     with progress('live run') as on_progress:
         recording = live_run.run_live(scenario, folder, on_progress)

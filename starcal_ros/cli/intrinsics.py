@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from starcal_ros import calibration
-from starcal_ros.cli import arguments, still_images
+from starcal_ros.cli import arguments, outputs, still_images
 from starcal_ros.cli.terminal import STATUS, progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import parameters
@@ -41,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_config(parser, recorded=True)
     arguments.add_topics(parser)
     parser.add_argument('--out', metavar='RESULT.json', help='result to write')
+    outputs.add_overwrite(parser)
     choices = {'method': calibration.names(), 'estimate': list(INTRINSICS)}
     for name in _OPTIONS:
         parameter = parameters()[f'intrinsics.{name}']
@@ -59,9 +60,8 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError('needs a recording, a folder of images, or --centroids STARS.csv')
     recording = not options.centroids and _is_recording(Path(options.source))
     still_images.refuse_unused(options, recording)
-    for path in (options.out, options.report):
-        if path:
-            arguments.require_writable(Path(path))
+    outputs.claim([options.out, options.report, options.stars],
+                  [options.source, options.centroids, options.config], options.overwrite)
     outcome = (_of_recording(options) if recording
                else still_images.run(options, _given(options)))
     if options.out:

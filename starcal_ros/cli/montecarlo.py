@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import dataclasses
 from pathlib import Path
 
-from starcal_ros.cli import arguments
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import progress, show
 from starcal_ros.config.parameter import ConfigError
 
@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='SUMMARY.json', default='montecarlo.json',
                         help='summary to write; all runs go into an .npz file beside it '
                         '(default: %(default)s)')
+    outputs.add_overwrite(parser)
     parser.add_argument('--dask', metavar='ADDRESS',
                         help='scheduler of a Dask cluster to run on (needs the extra dask)')
 
@@ -44,8 +45,8 @@ def run(options: argparse.Namespace) -> int:
     study = dataclasses.replace(
         montecarlo.MonteCarlo.of(scenario, options.runs, options.sweep), judged=options.verdicts)
     out = Path(options.out)
-    arguments.require_writable(out)
     parts = out.with_name(out.name + '.parts')
+    outputs.claim([out, out.with_suffix('.npz')], [options.config], options.overwrite, parts)
     with _cluster(options.dask) as backend, progress('running') as on_progress:
         results = montecarlo.run(study, parts, backend=backend, on_progress=on_progress)
     summary = montecarlo.finish(study, results, out, parts)

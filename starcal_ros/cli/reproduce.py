@@ -10,10 +10,11 @@ from pathlib import Path
 import shutil
 
 from starcal_ros import __version__
-from starcal_ros.cli import arguments
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.files.output import write_text
 from starcal_ros.reproduction import published
 
 SUMMARY = "compare with a paper's table or figure"
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='FILE.json', default='reproduce.json',
                         help='the same numbers as JSON; figures are drawn beside it, as NAME.png '
                         '(default: %(default)s)')
+    outputs.add_overwrite(parser)
 
 
 def _provenance(name: str, options: argparse.Namespace, scenario: Scenario) -> dict[str, str]:
@@ -48,10 +50,12 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     scenario = arguments.scenario(options, arguments.SIMULATED, duration_s=options.duration)
     out = Path(options.out)
-    arguments.require_writable(out)
     parts = out.with_name(out.name + '.parts')
+    names = published.names() if options.name == 'all' else [options.name]
+    outputs.claim([out, *(out.with_name(f'{name}.png') for name in names)], [options.config],
+                  options.overwrite, parts)
     outcomes = {}
-    for name in published.names() if options.name == 'all' else [options.name]:
+    for name in names:
         study = published.load(name)
         try:
             with progress(name) as on_progress:
@@ -70,6 +74,6 @@ def run(options: argparse.Namespace) -> int:
             show(f'Figure: {figure}')
     results = {name: {**outcome.as_dict(), 'provenance': _provenance(name, options, scenario)}
                for name, outcome in outcomes.items()}
-    out.write_text(json.dumps(results, indent=1, allow_nan=False) + '\n', encoding='utf-8')
+    write_text(out, json.dumps(results, indent=1, allow_nan=False) + '\n')
     shutil.rmtree(parts, ignore_errors=True)
     return 0

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 
-from starcal_ros.cli import arguments
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import progress
 
 SUMMARY = 'write a simulated recording'
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_duration(parser)
     parser.add_argument('--seed', metavar='N', type=int,
                         help='seed of the noise, in place of simulation.seed')
-    parser.add_argument('--overwrite', action='store_true', help='replace an existing file')
+    outputs.add_overwrite(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -29,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
     from starcal_ros.simulation.write_recording import simulate
     scenario = arguments.scenario(options, arguments.SIMULATORS, duration_s=options.duration,
                                   seed=options.seed)
+    outputs.claim([options.out], [options.config], options.overwrite)
     with progress('simulating') as on_progress:
         simulate(scenario, options.out, options.overwrite, on_progress)
     return 0

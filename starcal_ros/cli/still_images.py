@@ -5,10 +5,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import stamp_ns
@@ -134,8 +132,6 @@ def _of_table(options: argparse.Namespace, conditions: Conditions) -> Source:
 
 
 def _of_folder(options: argparse.Namespace, conditions: Conditions) -> Source:
-    if options.stars:
-        arguments.require_writable(Path(options.stars))
     with progress('reading') as on_progress:
         try:
             return pipeline.of_folder(options.source, conditions, options.heldout,

@@ -27,6 +27,7 @@ from starcal_ros.config.scenario import Scenario, parameters
 from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import bounds, consistency
 from starcal_ros.evaluation.batch import Runs, nominal, run_batch, state_error
+from starcal_ros.files.output import whole, write_text
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
@@ -172,10 +173,8 @@ def _task(scenario: Scenario, seeds: Sequence[int], judged: bool) -> dict[str, N
 
 def save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
     """Write an NPZ file so that it is there whole or not at all."""
-    unfinished = path.with_name(path.name + '.part')
-    with unfinished.open('wb') as stream:
+    with whole(path) as draft, draft.open('wb') as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
-    unfinished.replace(path)
 
 
 def _load(path: Path) -> Runs:
@@ -258,6 +257,6 @@ def finish(study: MonteCarlo, results: Sequence[Runs], out: Path, parts: Path) -
     merged['value'] = np.repeat([str(value) for value in study.values], study.runs)
     save(out.with_suffix('.npz'), {**merged, 'config': np.array(text),
                                    'sweep': np.array(study.key)})
-    out.write_text(json.dumps(summary, indent=1, allow_nan=False) + '\n', encoding='utf-8')
+    write_text(out, json.dumps(summary, indent=1, allow_nan=False) + '\n')
     shutil.rmtree(parts)
     return summary

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from starcal_ros.core.units import NS
+from starcal_ros.files.output import whole
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.states import CALIBRATED, UNIT
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
@@ -47,4 +48,5 @@ def figure(history: History, truth: dict[str, Any] | None, path: str | Path) -> 
     against = 'truth' if truth is not None else 'final estimate'
     canvas.suptitle(f'Estimate minus {against}, with 3-sigma bounds; axes scaled to the bound at '
                     'one fifth of the run')
-    canvas.savefig(path, dpi=110)
+    with whole(path) as draft, draft.open('wb') as stream:
+        canvas.savefig(stream, format=Path(path).suffix[1:] or 'png', dpi=110)

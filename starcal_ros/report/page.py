@@ -18,6 +18,7 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.statistic import Statistic
 from starcal_ros.core.utc import utc_text
+from starcal_ros.files.output import write_text
 from starcal_ros.filter.ambiguity import NAMES
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.verdict import INCONSISTENT, Verdict
@@ -61,7 +62,7 @@ class Calibration(NamedTuple):
 
 def write_page(path: str | Path, calibration: Calibration) -> None:
     """Write the report of a calibration."""
-    Path(path).write_text(html(calibration), encoding='utf-8')
+    write_text(path, html(calibration))
 
 
 def html(calibration: Calibration) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from starcal_ros.files.output import whole
 from starcal_ros.reproduction.outcome import Curve, Field, Outcome, Panel
 
 _STYLES: dict[str, dict[str, Any]] = {
@@ -54,7 +55,8 @@ def draw(outcome: Outcome, path: str | Path) -> None:
     for axis in axes.flat[len(panels):]:
         axis.set_axis_off()
     figure.suptitle(outcome.title)
-    figure.savefig(path, dpi=110)
+    with whole(path) as draft, draft.open('wb') as stream:
+        figure.savefig(stream, format=Path(path).suffix[1:] or 'png', dpi=110)
 
 
 def _draw(figure: Any, axis: Any, panel: Panel) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector
+from starcal_ros.files.output import write_text
 from starcal_ros.filter.offline import Residuals
 from starcal_ros.report import detector_charts
 from starcal_ros.report.cameras import entry, entry_columns, verdict_lines
@@ -34,12 +35,12 @@ def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: 
     notices : list of str
         What a user should know.
     """
-    Path(path).write_text(document(
+    write_text(path, document(
         f'Camera of {outcome["source"]}', _verdict(outcome), _camera(outcome), *_images(found),
         *_left_out(outcome), _distortion(found), _coupling(outcome), section(
             'notices', 'Notices', items(notices) if notices else paragraph('No notices.'),
             '<details><summary>Configuration</summary><pre>'
-            f'{escape(parameter_file.dump(found.scenario))}</pre></details>')), encoding='utf-8')
+            f'{escape(parameter_file.dump(found.scenario))}</pre></details>')))
 
 
 def _verdict(outcome: dict[str, Any]) -> str:

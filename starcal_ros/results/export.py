@@ -23,6 +23,8 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR
 from starcal_ros.messages import conventions, topics
 
+NAMES = ('camera_info.yaml', 'camchain.yaml', 'imu.yaml')
+
 _CAMERA = 'star_tracker'
 
 
@@ -38,10 +40,11 @@ def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
     """
     intrinsics = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS])
     camera = conventions.camera_info(intrinsics, detector(scenario.camera))
-    return {'camera_info.yaml': _dump(_camera_info(camera, scenario)),
-            'camchain.yaml': _dump({'cam0': _camchain(camera, result, scenario)}),
-            'imu.yaml': '# Add accelerometer_noise_density and accelerometer_random_walk.\n'
-                        + _dump(_imu(result, scenario))}
+    return dict(zip(NAMES, (
+        _dump(_camera_info(camera, scenario)),
+        _dump({'cam0': _camchain(camera, result, scenario)}),
+        '# Add accelerometer_noise_density and accelerometer_random_walk.\n'
+        + _dump(_imu(result, scenario)))))
 
 
 def _camera_info(camera: conventions.PlumbBob, scenario: Scenario) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.files.output import write_text
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
@@ -153,13 +154,10 @@ def write_json(path: str | Path, values: dict[str, Any]) -> None:
 
     Raises
     ------
-    CalibrationError
+    OutputError
         Where the file cannot be written.
     """
-    try:
-        Path(path).write_text(dumps(values), encoding='utf-8')
-    except OSError as error:
-        raise CalibrationError(f'{path}: cannot be written: {error.strerror}') from None
+    write_text(path, dumps(values))
 
 
 def _named(values: Array) -> dict[str, float]:

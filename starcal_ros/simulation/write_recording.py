@@ -14,6 +14,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
+from starcal_ros.files.output import whole
 from starcal_ros.messages import topics
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.contents import Contents, Types
@@ -53,8 +54,8 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
 
     Raises
     ------
-    RecordError
-        Where the file exists or can not be made.
+    OutputError
+        Where the file exists, or can not be written; then there is none.
     ValueError
         Where the catalogue does not reach down to a limiting magnitude.
     """
@@ -64,7 +65,7 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
     renderer = sensors.images(scenario) if scenario.simulation.images else None
     centroids = topics.TRUE_CENTROIDS if renderer else topics.CENTROIDS
     batch_s = _IMAGES_BATCH_S if renderer else _BATCH_S
-    with Writer(path, overwrite) as writer:
+    with whole(path, overwrite) as draft, Writer(draft, overwrite=True) as writer:
         writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
                       'application/yaml')
         writer.attach(TRUTH_ATTACHMENT, json.dumps(truth.as_dict(), indent=1).encode(),

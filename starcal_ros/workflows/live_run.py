@@ -23,6 +23,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario, stamp_ns
 from starcal_ros.config.shipped import config_file
 from starcal_ros.core.units import NS
+from starcal_ros.files.output import write_text
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.messages import conventions, topics
@@ -32,6 +33,7 @@ from starcal_ros.recording.writer import typestore
 
 RECORDING, RESULT, FIGURE, REPORT, PARAMETERS = (
     'run.mcap', 'result.json', 'convergence.png', 'report.html', 'demo.yaml')
+FILES = (RECORDING, RESULT, FIGURE, REPORT, PARAMETERS)
 _SIMULATORS = ('star_tracker_sim', 'gyro_sim')
 _QUIET = ('--log-level', 'gyro_sim:=warn')     # its percentages, beside our progress
 _END_S = 30.0           # time that a node may take to end
@@ -84,7 +86,7 @@ def run_live(scenario: Scenario, folder: Path,
                                  'estimator.wait_for_subscribers': 1,
                                  'simulation.wait_for_subscribers': 2})
     params_file = folder / PARAMETERS
-    params_file.write_text(parameter_file.dump(scenario), encoding='utf-8')
+    write_text(params_file, parameter_file.dump(scenario))
     nodes: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for name in ('recorder', 'estimator', *_SIMULATORS):
@@ -145,9 +147,8 @@ def _expect_end(name: str, process: subprocess.Popen[bytes]) -> None:
 
 
 def make_room(folder: Path) -> None:
-    """Make the folder and remove what an earlier demo left in it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in (RECORDING, RESULT, FIGURE, REPORT, PARAMETERS):
+    """Remove what an earlier demo left in a folder."""
+    for name in FILES:
         (folder / name).unlink(missing_ok=True)
 
 

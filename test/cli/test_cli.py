@@ -331,7 +331,7 @@ def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path
         'camchain.yaml', 'camera_info.yaml', 'imu.yaml']
     outcome = json.loads((tmp_path / 'result.json').read_text())
     folder = CalibrationStore(tmp_path / 'saved').save(initial.files(outcome, scenario))
-    second = starcal(*words)
+    second = starcal(*words, '--overwrite')
     assert second.status == NOT_YET and f'calibration {folder}' in ' '.join(second.err.split())
     better = json.loads((tmp_path / 'result.json').read_text())
     assert better['provenance']['began_with'] == str(folder)

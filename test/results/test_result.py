@@ -10,6 +10,7 @@ import pytest
 
 from instruments import TAN2018
 from starcal_ros.core import rotation
+from starcal_ros.files.output import OutputError
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
@@ -116,7 +117,7 @@ def test_number_that_is_not_finite_is_never_written(tmp_path, value):
 
 
 def test_file_that_can_not_be_written_is_named_with_the_reason(tmp_path):
-    with pytest.raises(CalibrationError, match=r'nowhere/r\.json: cannot be written: No such'):
+    with pytest.raises(OutputError, match=r'nowhere/r\.json: cannot be written: No such'):
         write_json(tmp_path / 'nowhere' / 'r.json', {})
 
 

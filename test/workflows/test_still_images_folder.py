@@ -185,7 +185,8 @@ def test_refraction_biases_a_camera_that_does_not_know_of_it(tmp_path, capsys):
     results = []
     for words, status in (([], 4), (['--site', '47,8.5,500', '--pressure', '950',
                                      '--temperature', '5'], 0)):
-        assert main(['intrinsics', str(images), '--fov', FOV, '--out', str(tmp_path / 'c.json'),
+        assert main(['intrinsics', str(images), '--fov', FOV, '--overwrite',
+                     '--out', str(tmp_path / 'c.json'),
                      *words]) == status
         results.append(json.loads((tmp_path / 'c.json').read_text()))
     without, corrected = results

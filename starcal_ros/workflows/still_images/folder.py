@@ -26,6 +26,7 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
+from starcal_ros.files.output import whole
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
                                                    MirroredError)
@@ -198,7 +199,7 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
 def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout: Sequence[bool]
                 ) -> None:
     """Write the stars of images as `table.read_centroids` reads them."""
-    with Path(path).open('w', newline='', encoding='utf-8') as stream:
+    with whole(path) as draft, draft.open('w', newline='', encoding='utf-8') as stream:
         table = csv.writer(stream)
         table.writerow(['image', 'u', 'v', 'catalog_id', 'sigma', 'split'])
         for image, held in zip(images, heldout):
