@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
 import numpy as np
 
-from starcal_ros.cli import arguments
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.files.output import write_text
 
 SUMMARY = 'noise of a gyro at rest'
 DESCRIPTION = ('Tell the noise of a gyro from its Allan deviation: quantisation, angle random '
@@ -28,14 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_gyro_topic(parser)
     parser.add_argument('--out', metavar='RESULT.json', help='curves and noise to write')
     parser.add_argument('--figure', metavar='PNG', help='draw the Allan deviation')
+    outputs.add_overwrite(parser)
     parser.add_argument('--json', action='store_true', help='print what --out writes, no table')
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    for path in (options.out, options.figure):
-        if path:
-            arguments.require_writable(Path(path))
+    outputs.claim([options.out, options.figure], [options.bag], options.overwrite)
     from starcal_ros.measurements.allan import allan
     from starcal_ros.measurements.rest import longest_rest
     from starcal_ros.recording import reader
@@ -67,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         show(report.noise_table(curves, title))
         show(lines)
     if options.out:
-        Path(options.out).write_text(text + '\n', encoding='utf-8')
+        write_text(options.out, text + '\n')
     if options.figure:
         report.noise_figure(curves, title, options.figure)
     return 0

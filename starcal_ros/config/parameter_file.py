@@ -20,6 +20,7 @@ from starcal_ros.config import rcl_yaml
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.rcl_yaml import Section
 from starcal_ros.config.scenario import Scenario, from_flat
+from starcal_ros.files.documents import DocumentError, bounded_yaml
 
 NODES = ('star_tracker_sim', 'gyro_sim', 'estimator', 'intrinsics_estimator',
          'centroid_extractor', 'star_identifier', 'recorder', 'player')
@@ -54,12 +55,11 @@ def read(text: str, source: str, nodes: Sequence[str] = ('estimator',),
         With all that is wrong.
     """
     try:
-        sections, errors = rcl_yaml.read(text)
-    except yaml.YAMLError as error:
-        where = getattr(error, 'problem_mark', None)
-        line = f', line {where.line + 1}' if where else ''
-        raise ConfigError(f'{source}{line}: not YAML: '
-                          f'{getattr(error, "problem", None) or error}') from None
+        with bounded_yaml(text):
+            sections, errors = rcl_yaml.read(text)
+    except DocumentError as error:
+        line = f', line {error.line}' if error.line else ''
+        raise ConfigError(f'{source}{line}: {error}') from None
     if not sections:
         raise ConfigError(f'{source}: not a ROS 2 parameter file, needs "/**:" with '
                           f'"{rcl_yaml.PARAMETERS}:" below it')

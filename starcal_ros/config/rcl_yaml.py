@@ -19,6 +19,8 @@ from typing import Any
 
 import yaml
 
+from starcal_ros.files.documents import BoundedLoader
+
 PARAMETERS = 'ros__parameters'
 
 _TRUE = {'Y', 'y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON'}
@@ -181,7 +183,7 @@ def _from_hex(text: str) -> float:
         return float('inf')
 
 
-class _Loader(yaml.SafeLoader):                         # type: ignore[misc]  # no hints
+class _Loader(BoundedLoader):
     """Nodes without types of their own, and without what rcl does not take."""
 
     def resolve(self, kind: type, value: str, implicit: Any) -> str:

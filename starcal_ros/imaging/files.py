@@ -10,8 +10,11 @@ ROWORDER of TOP-DOWN.
 from __future__ import annotations
 
 from datetime import datetime
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
+import subprocess
+import sys
 from typing import Any, NamedTuple
 import warnings
 
@@ -19,11 +22,22 @@ from PIL import Image
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.imaging import exposure_time
+from starcal_ros.files.limits import IMAGE, LimitError
+from starcal_ros.imaging import exposure_time, fits_scan
 from starcal_ros.imaging.pixels import grey, top
 
 FITS_SUFFIXES = ('.fits', '.fit', '.fts')
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', *FITS_SUFFIXES)
+
+_UNPACK_S = 120.0
+_UNPACK = """
+import sys
+path, index, *sys.path[:] = sys.argv[1:]
+import numpy
+from astropy.io import fits
+with fits.open(path) as units:
+    numpy.save(sys.stdout.buffer, numpy.array(units[int(index)].data))
+"""
 
 
 class ImageFileError(ValueError):
@@ -76,10 +90,16 @@ def load(path: str | PathLike[str]) -> Picture:
     path = Path(path)
     is_fits = path.suffix.lower() in FITS_SUFFIXES
     try:
-        pixels, saturation, taken = _read_fits(path) if is_fits else _read_picture(path)
-    # What Pillow raises, and what `_read_fits` makes of astropy's.
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        if path.exists() and not path.is_file():
+            raise ValueError('no file')         # a pipe would never end
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')     # what matters is raised
+            pixels, saturation, taken = _read_fits(path) if is_fits else _read_picture(path)
+    except (OSError, LimitError) as error:
         raise ImageFileError(f'{path}: {" ".join(str(error).split())}') from None
+    except Exception as error:      # Pillow and astropy raise of every kind on damaged files
+        raise ImageFileError(f'{path}: damaged: '
+                             f'{" ".join(f"{type(error).__name__} {error}".split())}') from None
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     if pixels.ndim not in (2, 3) or channels > 4 or not pixels.size:
         raise ImageFileError(f'{path}: pixels of shape {pixels.shape}; one image expected, '
@@ -96,6 +116,7 @@ def load(path: str | PathLike[str]) -> Picture:
 
 def _read_picture(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
     with Image.open(path) as picture:
+        IMAGE.check(picture.width * picture.height, 'an image')
         coded = picture.mode in ('P', 'CMYK', 'YCbCr', 'LAB', 'HSV')
         pixels = np.asarray(picture.convert('RGB') if coded else picture)
         taken = exposure_time.of_exif(picture.getexif())
@@ -105,23 +126,39 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
 
 
 def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
+    fits_scan.check(path)
     from astropy.io import fits  # here, because it takes a quarter of a second
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore')         # what matters is raised
-            with fits.open(path) as units:
-                for unit in units:
-                    if unit.is_image and unit.data is not None:
-                        header, pixels = unit.header, np.array(unit.data)
-                        break
-                else:
-                    raise ValueError('no image in it')
-        saturation = float(header.get('SATURATE', top(pixels.dtype)))
-        order = str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper()
-    except (TypeError, LookupError, fits.VerifyError) as error:
-        raise ValueError(f'damaged: {type(error).__name__} {error}') from None
+    with fits.open(path) as units:
+        for index, unit in enumerate(units):
+            if isinstance(unit, fits.CompImageHDU):
+                with fits.open(path, disable_image_compression=True) as tables:
+                    fits_scan.check_tiles(tables[index])
+                header, pixels = unit.header, _unpack(path, index)
+                break
+            if unit.is_image and unit.data is not None:
+                header, pixels = unit.header, np.array(unit.data)
+                break
+        else:
+            raise ValueError('no image in it')
+    saturation = float(header.get('SATURATE', top(pixels.dtype)))
+    order = str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper()
     if pixels.ndim == 3:
         pixels = np.moveaxis(pixels, 0, -1)     # planes of colour
     if order != 'TOP-DOWN':
         pixels = pixels[::-1]
     return pixels, saturation, exposure_time.of_fits(header)
+
+
+def _unpack(path: Path, index: int) -> NDArray[Any]:
+    """Unpack a tile-compressed image in a process of its own.
+
+    astropy's decompressor of HCOMPRESS writes beyond its memory on damaged tiles, which ends the
+    process.
+    """
+    try:
+        done = subprocess.run([sys.executable, '-c', _UNPACK, str(path), str(index), *sys.path],
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                              stderr=subprocess.DEVNULL, timeout=_UNPACK_S, check=True)
+    except subprocess.SubprocessError:
+        raise ValueError('its tiles can not be unpacked') from None
+    return np.load(BytesIO(done.stdout), allow_pickle=False)

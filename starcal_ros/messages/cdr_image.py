@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.files.limits import IMAGE, LimitError
 from starcal_ros.imaging.pixels import grey
 from starcal_ros.messages.cdr import ENCAPSULATION, RecordError
 
@@ -100,6 +101,10 @@ def decode_image(message: bytes) -> ImageMessage:
     if len(data) < (height - 1) * step + row:
         raise ImageMessageError('wrong length of data', f'{len(data)} bytes, {height} rows of '
                                 f'{step} bytes need {height * step}')
+    try:
+        IMAGE.check(width * height, 'an image')
+    except LimitError as error:
+        raise ImageMessageError('image too large', str(error)) from None
     # Strides, not a reshape: the padding of the last row may be missing.
     pixels: NDArray[np.generic] = np.ndarray(
         (height, width, channels), pixel, data, strides=(step, channels * pixel.itemsize,

@@ -8,6 +8,7 @@ message index that follows it in the file gives the log time and the place of ea
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 import struct
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 import zstandard
 
 from starcal_ros.core.arrays import Ints
+from starcal_ros.files.limits import CHUNK, LimitError
 from starcal_ros.messages.cdr import Messages, RecordError, gather
 
 MESSAGE_HEAD = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
@@ -31,6 +33,8 @@ _CHUNK = struct.Struct('<QQQII')
 _MESSAGE = struct.Struct('<HIQ')
 _BEYOND = np.uint64(2**62)
 _ZSTD = zstandard.ZstdDecompressor()
+_ZSTD_HEAD = 18        # bytes, the longest head of a frame
+_DECLARATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 
 Index = dict[int, NDArray[np.uint64]]
 """For each channel id, (n, 2): the log time [ns] and the offset of each message."""
@@ -75,12 +79,10 @@ class Chunk:
         """Return the records of the chunk; RecordError if they cannot be trusted."""
         raw: bytes | memoryview = self.packed
         try:
-            if self.compression == 'zstd':
-                raw = _ZSTD.decompress(self.packed, max_output_size=self.size)
-            elif self.compression == 'lz4':
-                raw = lz4.frame.decompress(self.packed)
-            elif self.compression:
-                raise RecordError(f"compression '{self.compression}' is not one of zstd and lz4")
+            if self.compression:
+                raw = unpack(self.compression, self.packed, self.size)
+        except LimitError as error:
+            raise RecordError(str(error)) from None
         except (zstandard.ZstdError, RuntimeError, MemoryError):
             raise RecordError(f'its {self.compression} data are damaged') from None
         if len(raw) != self.size:
@@ -90,31 +92,67 @@ class Chunk:
         return raw
 
 
+def unpack(compression: str, packed: bytes | memoryview, size: int) -> bytes:
+    """Decompress data that are said to have a size, and to no more than that.
+
+    The size is checked against the limit before any memory is taken for it, and what the data say
+    of themselves against the size: neither is to be believed.
+
+    Raises
+    ------
+    LimitError
+        Where the size, or what comes out, is too large.
+    ZstdError, RuntimeError
+        Where the data are damaged.
+    """
+    CHUNK.check(size, f'{compression} data')
+    if compression == 'zstd':
+        stated = zstandard.get_frame_parameters(packed[:_ZSTD_HEAD]).content_size
+        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+            raise LimitError(f'{stated} bytes by its data, {size} by its record')
+        return bytes(_ZSTD.decompress(packed, max_output_size=size))
+    if compression == 'lz4':
+        stream = lz4.frame.LZ4FrameDecompressor()
+        raw: bytes = stream.decompress(packed, max_length=size + 1)
+        if len(raw) > size:
+            raise LimitError(f'more than the {size} bytes of its record')
+        if not stream.eof:
+            raise RuntimeError('incomplete')
+        return raw
+    raise RecordError(f"compression '{compression}' is not one of zstd and lz4")
+
+
 def scan(raw: bytes | memoryview) -> tuple[Index, list[tuple[int, bytes | memoryview]]]:
     """Go from record to record over a decompressed chunk, up to its end or a broken record.
+
+    What is kept takes no more memory than the chunk does, whatever its records are.
 
     Returns
     -------
     index : Index
         Where the messages are.
     others : list of (opcode, content)
-        The other records: schemas and channels.
+        Schemas and channels, of each id the last.
     """
-    entries: dict[int, list[tuple[int, int]]] = {}
-    others = []
+    entries: dict[int, array[int]] = {}
+    others: dict[bytes, tuple[int, bytes | memoryview]] = {}
     position = 0
     while position + RECORD.size <= len(raw):
         opcode, length = RECORD.unpack_from(raw, position)
         content = position + RECORD.size
-        if content + length > len(raw):
+        if content + length > len(raw) or opcode == 0:
             break
-        if opcode != Opcode.MESSAGE:
-            others.append((opcode, raw[content:content + length]))
-        elif content + length >= position + MESSAGE_HEAD.itemsize:
+        if opcode in _DECLARATIONS:
+            key = bytes([opcode]) + bytes(raw[content:content + min(length, 2)])
+            others[key] = opcode, raw[content:content + length]
+        elif opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.itemsize - RECORD.size:
             channel, _, log_time = _MESSAGE.unpack_from(raw, content)
-            entries.setdefault(channel, []).append((log_time, position))
+            if channel not in entries:
+                entries[channel] = array('Q')
+            entries[channel].extend((log_time, position))
         position = content + length
-    return {channel: np.array(pairs, np.uint64) for channel, pairs in entries.items()}, others
+    return {channel: np.frombuffer(pairs, np.uint64).reshape(-1, 2)
+            for channel, pairs in entries.items()}, [*others.values()]
 
 
 def locate(channel: int, indices: Sequence[Index], data: NDArray[np.uint8],
@@ -148,6 +186,8 @@ def locate(channel: int, indices: Sequence[Index], data: NDArray[np.uint8],
     size = np.minimum(head['length'], _BEYOND).astype(np.int64) + RECORD.size
     if not ((head['opcode'] == Opcode.MESSAGE) & (head['channel'] == channel)
             & (size >= MESSAGE_HEAD.itemsize) & (start + size <= high)).all():
+        return None
+    if size.sum() > len(data):      # messages do not overlap: one that is named twice is none
         return None
     return head['log_time'].astype(np.int64), Messages(
         data, start + MESSAGE_HEAD.itemsize, size - MESSAGE_HEAD.itemsize)

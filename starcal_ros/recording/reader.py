@@ -142,8 +142,11 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     bag = open_bag(path)
     topics = bag.topics()
     has_gyro = choice.gyro is not None or bool(candidates(topics, GYRO))
-    gyro_topic = choose(bag, GYRO, path, choice.gyro) if needs_gyro or has_gyro else None
-    frames_topic, decode = _frames_topic(bag, path, measure, images_first, choice)
+    try:
+        gyro_topic = choose(bag, GYRO, path, choice.gyro) if needs_gyro or has_gyro else None
+        frames_topic, decode = _frames_topic(bag, path, measure, images_first, choice)
+    except RecordError as error:        # what is missing may be what could not be read
+        raise RecordError('; '.join((str(error), *bag.warnings))) from None
     chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
     times: dict[str, list[Ints]] = {topic.name: [] for topic in chosen}
     gyro_parts, frames_parts = [], []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from starcal_ros.files.output import whole
 from starcal_ros.measurements.allan import CONFIDENCE, TERMS, AllanCurve, Coefficient
 
 _ARW, _WALK = 1, 3              # of `TERMS`
@@ -94,4 +95,5 @@ def noise_figure(curves: Sequence[AllanCurve], title: str, path: str | Path) -> 
         panel.legend(fontsize=8, loc='upper right')
     panels[0].set_ylabel('deviation [deg/h]')
     canvas.suptitle(title)
-    canvas.savefig(path, dpi=110)
+    with whole(path) as draft, draft.open('wb') as stream:
+        canvas.savefig(stream, format=Path(path).suffix[1:] or 'png', dpi=110)

@@ -137,11 +137,14 @@ def test_a_folder_in_two_calls_is_the_camera_of_the_command(folder, tmp_path):
         name = f'{k:02d}.png' if k % 2 else f'{k:02d}.fits'
         shutil.copy(folder / name, images / name)
     (images / 'text.png').write_text('no image')
+    bomb = ['SIMPLE  =                    T', 'NAXIS   = 99999999999999', 'END']
+    (images / 'bomb.fits').write_text(''.join(line.ljust(80) for line in bomb).ljust(2880))
     # There is no aberration in these images: a part in ten thousand, each its own, is noticed.
     assert main(['intrinsics', str(images), '--fov', FOV, '--heldout', '4', '--aberration',
                  '--out', str(out)]) == 4
     source = pipeline.of_folder(images, pipeline.Conditions(float(FOV), aberration=True), 4)
-    assert [*source.left_out] == ['text.png']
+    assert [*source.left_out] == ['bomb.fits', 'text.png']
+    assert 'NAXIS = 99999999999999, at most 9' in source.left_out['bomb.fits']
     assert json.loads(json.dumps(pipeline.calibrate(source).outcome)) == json.loads(
         out.read_text())
 
