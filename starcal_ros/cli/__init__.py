@@ -11,7 +11,10 @@ imported by ``run``.
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from importlib import import_module
+import os
+import sys
 
 import starcal_ros
 from starcal_ros.cli.terminal import say
@@ -28,11 +31,18 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit status."""
     options = parse(arguments)
     try:
-        return int(options.run(options))
+        status = int(options.run(options))
+        sys.stdout.flush()
+        return status
     except (ConfigError, RecordError, FileNotFoundError) as error:
         status, text = 2, str(error)
     except (ValueError, NodeError) as error:
         status, text = 1, str(error)
+    except OSError as error:
+        status, text = 1, f'{error.filename or "standard output"}: {error.strerror or error}'
+        if error.filename is None:      # nothing goes there at the end of the process, too
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         status, text = 130, 'interrupted'
     say(f'starcal {options.command}: {text}')

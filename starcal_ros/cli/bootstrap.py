@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
@@ -44,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
     from starcal_ros.filter import verdict
     from starcal_ros.recording import reader
     from starcal_ros.results import result
+    from starcal_ros.results.attached_truth import attached_truth
     try:
         from starcal_ros.recording.measured_images import as_measured, measure
         from starcal_ros.workflows.bootstrap import bootstrap
@@ -62,8 +62,9 @@ def run(options: argparse.Namespace) -> int:
                             chain.progress)
     outcome['steps'] = [{'step': step.name, **result.camera(step.camera)}
                         for step in chain.steps]
-    attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
-    truth = json.loads(attached) if attached else None
+    truth, doubts = attached_truth(recording.attachments)
+    for text in doubts:
+        say(f'warning: {text}')
     show(report.chain(outcome['steps'], truth, f'Bootstrap of {options.bag}'))
     stars = chain.frames.catalog_id
     show(f'{(stars > 0).sum()} of {len(stars)} spots identified. {report.summary(outcome)}')

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-import json
 from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
@@ -70,6 +69,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     from starcal_ros.filter.progress import Progress
     from starcal_ros.recording import reader
     from starcal_ros.results import export, initial, result
+    from starcal_ros.results.attached_truth import attached_truth
     with progress('reading') as on_progress:
         recording = reader.read(bag, on_progress, choice=choice)
     contradictions = list(_contradictions(
@@ -91,8 +91,9 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     if folder is not None:
         for name, content in export.files(outcome, scenario).items():
             write_text(folder / name, content)
-    attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
-    truth = json.loads(attached) if attached else None
+    truth, doubts = attached_truth(recording.attachments)
+    for text in doubts:
+        say(f'warning: {text}')
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     show(report.summary(outcome))
     judged = verdict.of(calibrator, gained)

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import show
+from starcal_ros.files.foreign import clean, literal
 
 SUMMARY = 'tell what a recording holds'
 DESCRIPTION = 'List the topics, types, counts and rates of a recording.'
@@ -26,19 +27,19 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.recording import reader
     summary = reader.summary(options.bag)
-    table = Table(title=f'{options.bag}: {summary.duration_s:.2f} s, '
-                        f'{summary.n_bytes / 1e6:.1f} MB')
+    table = Table(title=literal(f'{options.bag}: {summary.duration_s:.2f} s, '
+                                f'{summary.n_bytes / 1e6:.1f} MB'))
     uses = {name: word for word, name in _uses(options).items()}
     for column in ('topic', 'type', 'messages', 'rate [Hz]', 'read as'):
         table.add_column(column, justify='right' if column in ('messages', 'rate [Hz]')
                          else 'left')
     for topic in summary.topics:
         rate = f'{topic.rate_hz:.2f}' if topic.rate_hz == topic.rate_hz else '-'
-        table.add_row(topic.topic, topic.type, str(topic.count), rate,
+        table.add_row(literal(topic.topic, ''), literal(topic.type, ''), str(topic.count), rate,
                       uses.get(topic.topic, ''))
     show(table)
     for name, size in summary.attachments.items():
-        show(f'attachment {name}, {size} bytes')
+        show(f'attachment {clean(name)}, {size} bytes')
     for text in summary.warnings:
         show(f'warning: {text}')
     return 0

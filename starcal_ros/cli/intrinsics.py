@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +97,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     from starcal_ros.recording import reader
     from starcal_ros.recording.measured_images import as_measured, measure
     from starcal_ros.results import result
+    from starcal_ros.results.attached_truth import attached_truth
     with progress('reading') as on_progress:
         recording = reader.read(options.source, on_progress, needs_gyro=False,
                                 measure=measure(scenario), choice=arguments.topics(options))
@@ -122,8 +122,9 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
             f'{(frames.catalog_id > 0).sum()} of them identified')
     outcome = {'method': scenario.intrinsics.method, **result.camera(estimate),
                **judged.as_dict(), 'provenance': result.provenance(scenario, recording)}
-    attached = recording.attachments.get(reader.TRUTH_ATTACHMENT)
-    truth = json.loads(attached) if attached else None
+    truth, doubts = attached_truth(recording.attachments)
+    for text in doubts:
+        say(f'warning: {text}')
     show(report.camera(outcome, truth, f'Camera of {options.source}, {outcome["method"]}'))
     show('\n'.join(report.verdict_lines(outcome)))
     return outcome

@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from starcal_ros.files.foreign import literal
+
 STATUS = {'converged': 0, 'consistent': 0, 'not yet': 3, 'inconsistent': 4, 'lost': 4}
 """Exit status of a calibration, by its verdict; the result is written in all of them."""
 
@@ -31,9 +33,9 @@ def show(what: Table | str) -> None:
     console = Console(highlight=False, soft_wrap=True)
     if not console.is_terminal:
         console = Console(highlight=False, soft_wrap=True, width=_UNBOUNDED)
-    console.print(what, markup=False) if isinstance(what, str) else console.print(what)
+    console.print(literal(what) if isinstance(what, str) else what)
 
 
 def say(text: str) -> None:
     """Print a message for the user on standard error."""
-    Console(stderr=True, highlight=False, soft_wrap=True).print(text, markup=False)
+    Console(stderr=True, highlight=False, soft_wrap=True).print(literal(text))

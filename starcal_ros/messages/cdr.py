@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Ints
+from starcal_ros.files.foreign import clean
 
 ByteOrder = Literal['<', '>']
 
@@ -27,6 +28,9 @@ HEADER = np.dtype([('sec', 'i4'), ('nanosec', 'u4'), ('frame_id_length', 'u4')])
 
 class RecordError(ValueError):
     """A recording or a message that cannot be read or written; one line that says why."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(clean(text))
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Ints
+from starcal_ros.files.foreign import clean
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.recording.mcap_chunk import NO_ENTRIES, RECORD, Chunk, locate, scan
 
@@ -209,7 +210,7 @@ class McapFile:
             return None
 
     def _warn(self, text: str) -> None:
-        self._warnings[f'{self.path.name}: {text}'] = None
+        self._warnings[clean(f'{self.path.name}: {text}')] = None
 
 
 def _map(path: Path) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ import numpy as np
 from rich.table import Table
 
 from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.files.foreign import literal
 from starcal_ros.report.states import LABELS, UNITS, Row, short
 
 SCALED = 'sigma, scaled'
@@ -103,7 +104,7 @@ def _scaled(result: dict[str, Any], key: str, sigma: float) -> tuple[str]:
 
 
 def _table(title: str, columns: tuple[str, ...]) -> Table:
-    out = Table(title=title)
+    out = Table(title=literal(title))
     for column in columns:
         out.add_column(column, justify='left' if column in (*_LEFT, 'parameter') else 'right',
                        overflow='fold')

@@ -8,6 +8,8 @@ from typing import Any
 
 from rich.table import Table
 
+from starcal_ros.files.foreign import literal
+
 
 def study(point: dict[str, Any], title: str) -> Table:
     """Return a Monte Carlo as a table: RMS, bound and their ratio for each state.
@@ -18,7 +20,8 @@ def study(point: dict[str, Any], title: str) -> Table:
         low, high = point[name]
         return f'{low:.4f} to {high:.4f}'
 
-    out = Table(title=f'{title}\n{point["runs"]} runs of {point["duration_s"]:g} s', caption=(
+    heading = literal(f'{title}\n{point["runs"]} runs of {point["duration_s"]:g} s')
+    out = Table(title=heading, caption=(
         f'NEES {point["nees_mean"]:.2f} of {point["nees_degrees"]} states '
         f'(95 %: {interval("nees_interval_95")}), '
         f'NIS {point["nis_mean"]:.4f} (95 %: {interval("nis_interval_95")}), '

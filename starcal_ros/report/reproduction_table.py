@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from starcal_ros.files.foreign import literal
 from starcal_ros.files.output import whole
 from starcal_ros.reproduction.outcome import Curve, Field, Outcome, Panel
 
@@ -25,7 +26,8 @@ _COLUMNS = 3        # panels side by side, at most
 
 def published(outcome: Outcome) -> Table:
     """Return an outcome as a table, its notes below."""
-    out = Table(title=outcome.title, caption='\n'.join(outcome.notes), caption_justify='left')
+    out = Table(title=literal(outcome.title), caption=literal('\n'.join(outcome.notes)),
+                caption_justify='left')
     for name, value in zip(outcome.columns, outcome.rows[0]):
         out.add_column(name, justify='left' if isinstance(value, str) else 'right',
                        overflow='fold')
@@ -35,7 +37,7 @@ def published(outcome: Outcome) -> Table:
         if row[0] != group and grouped:
             out.add_section()
         group = row[0]
-        out.add_row(*(cell if isinstance(cell, str) else f'{cell:.3g}' for cell in row))
+        out.add_row(*(literal(cell) if isinstance(cell, str) else f'{cell:.3g}' for cell in row))
     return out
 
 

@@ -14,6 +14,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC
+from starcal_ros.files.foreign import literal
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
 from starcal_ros.filter.verdict import INCONSISTENT
@@ -106,7 +107,7 @@ def table(states: Sequence[Row], title: str) -> Table:
     """
     known = any(np.isfinite(row.truth) for row in states)
     doubted = any(np.isfinite(row.scaled) for row in states)
-    out = Table(title=title, caption=DOUBT if doubted else None)
+    out = Table(title=literal(title), caption=DOUBT if doubted else None)
     columns = ['state', 'unit', *(['truth'] if known else []), 'estimate',
                *(['error'] if known else []), 'sigma', *([SCALED] if doubted else []),
                *(['error/sigma', 'T18 error (2 h)'] if known else [])]

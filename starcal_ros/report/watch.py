@@ -21,6 +21,7 @@ from rich.text import Text
 
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG, DEG_PER_HOUR
+from starcal_ros.files.foreign import clean
 from starcal_ros.filter.calibrator import Counts
 from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
 from starcal_ros.messages.conventions import STATE_LAYOUT
@@ -93,12 +94,13 @@ def render(seen: Seen) -> RenderableType:
     counts = [f'{key.replace("_", " ")} {value}' for key, value in seen.values.items()
               if key in _COUNTS]
     if counts:
-        parts.append(Text(', '.join(counts), style='dim'))
+        parts.append(Text(clean(', '.join(counts)), style='dim'))
     advice = seen.values.get('advice', 'none')
     if advice != 'none' and advice not in seen.message:
-        parts.append(Text(f'advice: {advice}', style='yellow'))
+        parts.append(Text(clean(f'advice: {advice}'), style='yellow'))
     if seen.values.get('not_told_apart', 'none') != 'none':
-        parts.append(Text(f'not told apart: {seen.values["not_told_apart"]}', style='yellow'))
+        parts.append(Text(clean(f'not told apart: {seen.values["not_told_apart"]}'),
+                          style='yellow'))
     return Group(*parts)
 
 
@@ -132,7 +134,7 @@ def _verdict(seen: Seen) -> Text:
         since = f'for {seen.silent_s:.0f} s' if np.isfinite(seen.silent_s) else 'so far'
         return Text(f'no estimator is heard {since}', style='bold magenta')
     style = 'bold green' if seen.message == 'converged' else _STYLES[min(seen.level, 3)]
-    return Text(seen.message, style=style)
+    return Text(clean(seen.message), style=style)
 
 
 def _inputs(seen: Seen) -> Text:
@@ -147,7 +149,7 @@ def _inputs(seen: Seen) -> Text:
     rms = [float(seen.values.get(f'reprojection_rms_{axis}_px', 'nan')) for axis in 'uv']
     if np.isfinite(rms).all():
         parts.append('reprojection {:.4f} {:.4f} px'.format(*rms))
-    return Text(', '.join(filter(None, parts)))
+    return Text(clean(', '.join(filter(None, parts))))
 
 
 def _states(state: Array, values: Mapping[str, str]) -> Table:

@@ -9,7 +9,6 @@ is left out.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,12 +20,15 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.files.documents import load_json
 from starcal_ros.filter.states import CALIBRATED, N_STATES
 from starcal_ros.results import export
 from starcal_ros.results.result import CalibrationError, dumps
 from starcal_ros.results.store import CalibrationStore
 
 RESULT, CONFIG = 'result.json', 'config.yaml'
+
+_ROUNDING = 1e-9        # by which correlations may be off
 
 
 class InitialValues(NamedTuple):
@@ -85,11 +87,11 @@ def load(folder: Path, scenario: Scenario) -> InitialValues:
     """
     try:
         of = detector(parameter_file.load(folder / CONFIG).camera)
-        result = json.loads((folder / RESULT).read_text(encoding='utf-8'))
+        result = load_json((folder / RESULT).read_text(encoding='utf-8'))
         found = _start(result, scenario, str(folder))
     except OSError as error:
         raise CalibrationError(f'{folder}: cannot be read: {error.strerror}') from None
-    except (ConfigError, ValueError, LookupError, TypeError) as error:
+    except (ConfigError, ValueError, LookupError, TypeError, OverflowError) as error:
         raise CalibrationError(f'{folder}: is no calibration: {error}') from None
     if of != detector(scenario.camera):
         raise CalibrationError(f'{folder}: is of a detector of {of.width} x {of.height} pixels of '
@@ -105,6 +107,11 @@ def _start(result: dict[str, Any], scenario: Scenario, source: str) -> InitialVa
     if (covariance.shape != (N_STATES, N_STATES) or not np.isfinite(covariance).all()
             or (np.diagonal(covariance) <= 0.0).any()):
         raise ValueError('covariance: needs 16 x 16 finite numbers, variances above 0')
+    sigma = np.sqrt(np.diagonal(covariance))
+    correlation = covariance / sigma / sigma[:, None]
+    if (np.abs(correlation - correlation.T).max() > _ROUNDING
+            or np.linalg.eigvalsh(correlation)[0] < -_ROUNDING):
+        raise ValueError('covariance: is not symmetric and positive definite')
     return InitialValues(from_flat({
         **values, 'camera.principal_point_px': [u0, v0], 'camera.focal_length_mm': f,
         'camera.distortion': distortion,

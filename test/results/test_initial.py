@@ -115,12 +115,21 @@ def spoil(folder, how):
             values['covariance'][4][4] = float('nan')
         elif how == 'impossible':
             values['intrinsics']['f_mm'] = -1.0
+        elif how == '400 digits':
+            values['covariance'][4][4] = 10**400
+        elif how == 'not symmetric':
+            values['covariance'][4][5] += 0.01 * values['covariance'][4][4]
+        elif how == 'indefinite':
+            a, b = values['covariance'][4][4], values['covariance'][7][7]
+            values['covariance'][4][7] = values['covariance'][7][4] = 1.5 * (a * b)**0.5
         path.write_text(json.dumps(values))
 
 
 @pytest.mark.parametrize('how, said', [
     ('cut short', 'is no calibration'), ('missing', 'cannot be read'), ('no bias', 'gyro_bias'),
     ('NaN', 'covariance'), ('impossible', 'camera.focal_length_mm: got -1.0'),
+    ('400 digits', 'is no calibration: '), ('not symmetric', 'is not symmetric and positive'),
+    ('indefinite', 'is not symmetric and positive definite'),
     ('other detector', '2048 x 1024 pixels')])
 def test_calibration_that_can_not_be_used_is_passed_over_for_the_one_before(
         archive, half, how, said):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from starcal_ros.core.utc import unix_ns
 from starcal_ros.measurements.samples import Frames
 
 _COLUMNS = ('image', 'u', 'v', 'catalog_id')
+_LARGEST_ID = 2**31
 _STEP_NS = 10**6        # between images without a time of their own: methods want an order
 
 
@@ -63,28 +65,43 @@ def read_centroids(path: str | Path, epoch_utc: str) -> StillImages:
     ConfigError
         Where a column is missing or a row is not what it should be.
     """
+    try:
+        text = Path(path).read_text(encoding='utf-8-sig')
+    except UnicodeDecodeError as error:
+        raise ConfigError(f'{path}: is not UTF-8: byte {error.start} is '
+                          f'0x{error.object[error.start]:02x}') from None
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be read: {error.strerror}') from None
+    try:
+        return _read(text, path, epoch_utc)
+    except csv.Error as error:
+        raise ConfigError(f'{path}: not CSV: {error}') from None
+
+
+def _read(text: str, path: str | Path, epoch_utc: str) -> StillImages:
     rows: dict[str, list[tuple[float, float, int, float]]] = {}
     splits: dict[str, str] = {}
-    with Path(path).open(newline='', encoding='utf-8-sig') as stream:
-        table = csv.DictReader(stream)
-        missing = [name for name in _COLUMNS if name not in (table.fieldnames or ())]
-        if missing:
-            raise ConfigError(f'{path}: no column {", ".join(missing)}; needs '
-                              f'{", ".join(_COLUMNS)}')
-        for row in table:
-            image, split = row['image'], row.get('split') or 'fit'
-            try:
-                star = (float(row['u']), float(row['v']), int(row['catalog_id']),
-                        float(row.get('sigma') or 0.0))
-            except (TypeError, ValueError):
-                raise ConfigError(
-                    f'{path}, line {table.line_num}: got {row["u"]!r}, {row["v"]!r}, '
-                    f'{row["catalog_id"]!r}, needs two numbers and a Hipparcos number (and a '
-                    'number for sigma)') from None
-            if split not in ('fit', 'heldout') or splits.setdefault(image, split) != split:
-                raise ConfigError(f'{path}, line {table.line_num}: got split {split!r}, needs fit '
-                                  'or heldout, the same for all stars of an image')
-            rows.setdefault(image, []).append(star)
+    table = csv.DictReader(StringIO(text, newline=''))
+    missing = [name for name in _COLUMNS if name not in (table.fieldnames or ())]
+    if missing:
+        raise ConfigError(f'{path}: no column {", ".join(missing)}; needs '
+                          f'{", ".join(_COLUMNS)}')
+    for row in table:
+        image, split = row['image'], row.get('split') or 'fit'
+        try:
+            star = (float(row['u']), float(row['v']), int(row['catalog_id']),
+                    float(row.get('sigma') or 0.0))
+            if not np.isfinite(star).all() or abs(star[2]) > _LARGEST_ID:
+                raise ValueError('not finite')
+        except (TypeError, ValueError, OverflowError):
+            raise ConfigError(
+                f'{path}, line {table.line_num}: got {row["u"]!r}, {row["v"]!r}, '
+                f'{row["catalog_id"]!r}, needs two numbers and a Hipparcos number (and a '
+                'number for sigma)') from None
+        if split not in ('fit', 'heldout') or splits.setdefault(image, split) != split:
+            raise ConfigError(f'{path}, line {table.line_num}: got split {split!r}, needs fit '
+                              'or heldout, the same for all stars of an image')
+        rows.setdefault(image, []).append(star)
     return assemble(list(rows), [np.array(stars)[:, :2] for stars in rows.values()],
                     [np.array(stars)[:, 2] for stars in rows.values()],
                     [splits[image] == 'heldout' for image in rows], epoch_utc,
