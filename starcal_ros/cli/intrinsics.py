@@ -74,7 +74,8 @@ def _is_recording(path: Path) -> bool:
     if path.is_file() and path.suffix.lower() not in SUFFIXES:
         return True
     names = [file.name for file in path.iterdir()] if path.is_dir() else []
-    if 'metadata.yaml' in names or any(name.endswith('.mcap') for name in names):
+    if 'metadata.yaml' in names or any(
+            name.endswith(('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.bag')) for name in names):
         return True
     if any(Path(name).suffix.lower() in SUFFIXES for name in names):
         return False

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags: one MCAP file or a rosbag2 directory, whoever wrote it, behind one interface.
 
-MCAP is read by `mcap_reader`, whole chunks at a time. The rest of what rosbag2 can write
-(sqlite3, and files or messages compressed one by one) is rare, and goes message by message
-through the `rosbags` library.
+`bag_files` finds the files. MCAP is read by `mcap_reader`, whole chunks at a time; sqlite3 is
+rare, and goes message by message through the `rosbags` library.
 """
 
 from __future__ import annotations
@@ -13,17 +12,21 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import parse_qos
-import yaml
+import zstandard
 
 from starcal_ros.core.arrays import Ints
+from starcal_ros.files.documents import load_yaml
+from starcal_ros.files.limits import CHUNK, LimitError
 from starcal_ros.messages.cdr import Messages, RecordError
+from starcal_ros.recording.bag_files import MCAP, BagFiles, find
+from starcal_ros.recording.mcap_chunk import ZSTD_HEAD, unpack
 from starcal_ros.recording.mcap_reader import McapFile
 
 _BATCH = 10_000
@@ -96,45 +99,17 @@ def open_bag(path: Path) -> Bag:
     RecordError
         If there is nothing at the path, or nothing that can be read as a recording.
     """
-    if path.is_dir():
-        files, storage, compression = _read_metadata(path)
-        if storage == 'mcap' and not compression:
-            return _McapBag(files)
-        return _OtherBag(path, files)
-    if not path.exists():
-        raise RecordError(f'{path} does not exist; a recording is one .mcap file or a rosbag2 '
-                          'directory')
-    return _OtherBag(path, [path]) if path.suffix == '.db3' else _McapBag([path])
-
-
-def _read_metadata(path: Path) -> tuple[list[Path], str, str]:
-    """Read metadata.yaml: storage files, storage plugin, mode of compression."""
-    metadata = path / 'metadata.yaml'
-    if not metadata.exists():
-        names = ', '.join(sorted(file.name for file in path.glob('*.mcap')))
-        raise RecordError(f'{path} has no metadata.yaml, so it is no rosbag2 directory; '
-                          + (f'its files can be read one by one: {names}' if names else
-                             'a recording is one .mcap file or a rosbag2 directory'))
-    try:
-        info = yaml.safe_load(metadata.read_text())['rosbag2_bagfile_information']
-        files = [path / PurePath(name).name for name in info['relative_file_paths']]
-        storage, mode = str(info['storage_identifier']), info.get('compression_mode') or ''
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
-        raise RecordError(f'{metadata} cannot be read as the metadata of a rosbag2 directory: '
-                          f'{type(error).__name__} {" ".join(str(error).split())}') from error
-    missing = [file.name for file in files if not file.exists()]
-    if missing or not files:
-        raise RecordError(f'{metadata} names files that are missing: {", ".join(missing)}'
-                          if files else f'{metadata} names no files')
-    return files, storage, '' if mode.lower() == 'none' else mode
+    found = find(path)
+    return _McapBag(found) if found.storage == MCAP else _SqliteBag(found)
 
 
 class _McapBag:
     """MCAP files, in the order of their recording."""
 
-    def __init__(self, files: list[Path]) -> None:
-        self.files = files
-        self._parts = [McapFile(file) for file in files]
+    def __init__(self, found: BagFiles) -> None:
+        self.files = found.files
+        self._found = found
+        self._parts = [McapFile(file) for file in found.parts]
 
     @property
     def attachments(self) -> dict[str, bytes]:
@@ -142,7 +117,7 @@ class _McapBag:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return tuple(text for part in self._parts for text in part.warnings)
+        return (*self._found.warnings, *(text for part in self._parts for text in part.warnings))
 
     def topics(self) -> list[RecordedTopic]:
         merged: dict[str, list[RecordedTopic]] = {}
@@ -168,29 +143,30 @@ class _McapBag:
                       if channel.topic in names}
             for channel_id, log_time, messages in part.messages(wanted):
                 done = (before + part.position) / n_bytes
-                yield wanted[channel_id], log_time, messages, done
+                yield (wanted[channel_id], log_time,
+                       _unpack(messages) if self._found.by_message else messages, done)
             before += len(part.data)
 
 
-class _OtherBag:
-    """What `rosbags` reads and :class:`McapFile` does not."""
+class _SqliteBag:
+    """Files of sqlite3, read one by one: what their metadata says of them may be wrong."""
 
     attachments: dict[str, bytes] = {}
-    warnings: tuple[str, ...] = ()
 
-    def __init__(self, path: Path, files: list[Path]) -> None:
-        self.files = files
-        self._path = path
+    def __init__(self, found: BagFiles) -> None:
+        self.files, self.warnings = found.files, found.warnings
+        self._found = found
 
     def topics(self) -> list[RecordedTopic]:
         topics: dict[str, list[RecordedTopic]] = {}
-        with self._reader() as reader:
-            for connection in reader.connections:
-                topics.setdefault(connection.topic, []).append(RecordedTopic(
-                    connection.topic, connection.msgtype,
-                    getattr(connection.ext, 'serialization_format', ''),
-                    _describe(getattr(connection.ext, 'offered_qos_profiles', [])),
-                    connection.msgcount))
+        for part in self._found.parts:
+            with _reader(part) as reader:
+                for connection in reader.connections:
+                    topics.setdefault(connection.topic, []).append(RecordedTopic(
+                        connection.topic, connection.msgtype,
+                        getattr(connection.ext, 'serialization_format', ''),
+                        _describe(getattr(connection.ext, 'offered_qos_profiles', [])),
+                        connection.msgcount))
         return [_merge(topics[name]) for name in sorted(topics)]
 
     def log_times(self, name: str) -> Ints:
@@ -199,25 +175,44 @@ class _OtherBag:
 
     def messages(self, names: Collection[str],
                  ) -> Iterator[tuple[str, Ints, Messages, float]]:
-        with self._reader() as reader:
-            wanted = [c for c in reader.connections if c.topic in names]
-            for k, connection in enumerate(wanted):
-                rest = reader.messages([connection])
-                while batch := list(islice(rest, _BATCH)):
-                    yield (connection.topic, np.array([t for _, t, _ in batch], np.int64),
-                           Messages.join([bytes(data) for _, _, data in batch]), k / len(wanted))
+        n_parts = len(self._found.parts)
+        for index, part in enumerate(self._found.parts):
+            with _reader(part) as reader:
+                wanted = [c for c in reader.connections if c.topic in names]
+                for k, connection in enumerate(wanted):
+                    rest = reader.messages([connection])
+                    done = (index + k / len(wanted)) / n_parts
+                    while batch := list(islice(rest, _BATCH)):
+                        messages = Messages.join([bytes(data) for _, _, data in batch])
+                        yield (connection.topic, np.array([t for _, t, _ in batch], np.int64),
+                               _unpack(messages) if self._found.by_message else messages, done)
 
-    @contextmanager
-    def _reader(self) -> Iterator[Reader]:
-        """Open the bag and turn the many errors of the libraries below into one."""
-        try:
-            with Reader(self._path) as reader:
-                yield reader
-        except RecordError:
-            raise
-        except Exception as error:
-            raise RecordError(f'{self._path} cannot be read: '
-                              f'{" ".join(str(error).split())}') from error
+
+@contextmanager
+def _reader(path: Path) -> Iterator[Reader]:
+    """Open a file and turn the many errors of the libraries below into one."""
+    try:
+        with Reader(path) as reader:
+            yield reader
+    except RecordError:
+        raise
+    except Exception as error:
+        raise RecordError(f'{path} cannot be read: {" ".join(str(error).split())}') from error
+
+
+def _unpack(messages: Messages) -> Messages:
+    """Decompress messages that are compressed one by one."""
+    whole = messages.data.data
+    unpacked = []
+    try:
+        for start, size in zip(messages.start.tolist(), messages.size.tolist()):
+            packed = whole[start:start + size]
+            stated = zstandard.get_frame_parameters(packed[:ZSTD_HEAD]).content_size
+            known = stated != zstandard.CONTENTSIZE_UNKNOWN
+            unpacked.append(unpack('zstd', packed, stated if known else CHUNK.value))
+    except (zstandard.ZstdError, LimitError, MemoryError) as error:
+        raise RecordError(f'a compressed message cannot be unpacked: {error}') from None
+    return Messages.join(unpacked)
 
 
 def _merge(parts: list[RecordedTopic]) -> RecordedTopic:
@@ -232,8 +227,8 @@ def _merge(parts: list[RecordedTopic]) -> RecordedTopic:
 
 def _describe_yaml(profiles: str) -> str:
     try:
-        return _describe(parse_qos(yaml.safe_load(profiles) or []))
-    except (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError):
+        return _describe(parse_qos(load_yaml(profiles) or []))
+    except (LookupError, TypeError, ValueError, AttributeError):
         return 'unreadable'
 
 

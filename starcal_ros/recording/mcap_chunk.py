@@ -33,7 +33,7 @@ _CHUNK = struct.Struct('<QQQII')
 _MESSAGE = struct.Struct('<HIQ')
 _BEYOND = np.uint64(2**62)
 _ZSTD = zstandard.ZstdDecompressor()
-_ZSTD_HEAD = 18        # bytes, the longest head of a frame
+ZSTD_HEAD = 18        # bytes, the longest head of a frame
 _DECLARATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 
 Index = dict[int, NDArray[np.uint64]]
@@ -107,7 +107,7 @@ def unpack(compression: str, packed: bytes | memoryview, size: int) -> bytes:
     """
     CHUNK.check(size, f'{compression} data')
     if compression == 'zstd':
-        stated = zstandard.get_frame_parameters(packed[:_ZSTD_HEAD]).content_size
+        stated = zstandard.get_frame_parameters(packed[:ZSTD_HEAD]).content_size
         if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
             raise LimitError(f'{stated} bytes by its data, {size} by its record')
         return bytes(_ZSTD.decompress(packed, max_output_size=size))

@@ -24,6 +24,7 @@ from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_imu import decode_imu
 from starcal_ros.messages.cdr_pointcloud import decode_centroids
 from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
+from starcal_ros.recording.bag_files import refuse_ros1
 from starcal_ros.recording.topic_choice import (FRAMES, GYRO, IMAGE, TopicChoice, candidates,
                                                 choose, mean_rate_hz, notice)
 
@@ -141,6 +142,7 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     path = Path(path)
     bag = open_bag(path)
     topics = bag.topics()
+    refuse_ros1(topics, path)
     has_gyro = choice.gyro is not None or bool(candidates(topics, GYRO))
     try:
         gyro_topic = choose(bag, GYRO, path, choice.gyro) if needs_gyro or has_gyro else None
@@ -168,13 +170,15 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
         (FRAMES, frames_topic, choice.frames))]
     elsewhere = [text for role, topic, given in found if topic and not given
                  and (text := notice(topics, role, topic))]
+    untyped = [f'{topic.name} has no schema: its name is believed' for topic in chosen
+               if not topic.type]
     lost = [f'{count} of {topic.count} messages on {topic.name} could be read'
             for topic, count in zip(chosen, read_) if count != topic.count]
     recording = Recording(
         gyro if gyro_topic is None else _arrange_gyro(gyro, times[gyro_topic.name]),
         _arrange_frames(frames, times[frames_topic.name]), bag.attachments,
         gyro_topic.name if gyro_topic else '', frames_topic.name, path, _sha256(bag),
-        (*bag.warnings, *elsewhere, *lost), measure is not None and decode is measure)
+        (*bag.warnings, *elsewhere, *untyped, *lost), measure is not None and decode is measure)
     if on_progress:
         on_progress(1.0)
     return recording

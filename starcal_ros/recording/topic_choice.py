@@ -79,7 +79,7 @@ def choose(bag: Bag, role: Role, path: Path, given: str | None = None) -> Record
         listed = ', '.join(topic.name for topic in topics) or 'no topics'
         raise RecordError(f'{path} has no topic {given or role.topic}; it has {listed}')
     topic, = found
-    if topic.type != role.type:
+    if topic.type and topic.type != role.type:      # none: without a schema
         raise RecordError(f'{path}: {topic.name} is of type {topic.type or "unknown"}, '
                           f'not {role.type}')
     if topic.encoding != 'cdr':

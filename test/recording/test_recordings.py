@@ -486,8 +486,6 @@ def test_what_is_no_recording_is_an_error_in_one_line(tmp_path, content, message
 
 
 @pytest.mark.parametrize('metadata, message', [
-    (None, 'no metadata.yaml, so it is no rosbag2 directory; its files can be read one by one: '
-           'run.mcap'),
     ('{', 'cannot be read as the metadata of a rosbag2 directory'),
     ('a: 1', "KeyError 'rosbag2_bagfile_information'"),
     ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: [gone.mcap]}',
@@ -498,8 +496,7 @@ def test_what_is_no_recording_is_an_error_in_one_line(tmp_path, content, message
      'cannot be read')])
 def test_a_directory_that_is_no_bag_is_an_error_in_one_line(tmp_path, metadata, message):
     write(tmp_path / 'run.mcap')
-    if metadata is not None:
-        (tmp_path / 'metadata.yaml').write_text(metadata)
+    (tmp_path / 'metadata.yaml').write_text(metadata)
     with pytest.raises(RecordError, match=message) as caught:
         read(tmp_path)
     assert '\n' not in str(caught.value)
