@@ -9,21 +9,18 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 
-# A recording has absolute names; relative ones stand in the namespace.
-TOPICS = [(f'/{name}', name) for name in (
-    'imu/data_raw', 'star_tracker/centroids', 'star_tracker/spots', 'star_tracker/image_raw',
-    'star_tracker/camera_info', 'truth/centroids', 'truth/attitude', 'truth/parameters')]
-
 
 def generate_launch_description() -> LaunchDescription:
     """Start the player and the estimator, which stays to answer when the recording ends."""
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
     # The replay begins when the estimator listens, so that it misses nothing.
-    playback = {'player.wait_for_subscribers': 1, **{
+    playback = {'player.wait_for_subscribers': 1, 'player.rename': True, **{
         f'player.{name}': ParameterValue(LaunchConfiguration(argument), value_type=kind)
         for name, argument, kind in (
             ('bag', 'bag', str), ('rate', 'rate', float), ('loop', 'loop', bool),
-            ('start_offset_s', 'start_offset', float))}}
+            ('start_offset_s', 'start_offset', float),
+            *((name, name, str) for name in (
+                'recorded_namespace', 'imu_topic', 'centroids_topic', 'image_topic')))}}
     time = {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     return LaunchDescription([
@@ -43,6 +40,18 @@ def generate_launch_description() -> LaunchDescription:
             'use_sim_time', description='Whether the estimator lives by the /clock of the player',
             default_value='true'),
         DeclareLaunchArgument(
+            'recorded_namespace', default_value='',
+            description='Namespace of the topics in the recording; left out, any that it has'),
+        DeclareLaunchArgument(
+            'imu_topic', default_value='',
+            description='The gyros in the recording; left out, the only ones that it has'),
+        DeclareLaunchArgument(
+            'centroids_topic', default_value='',
+            description='The centroids in the recording; left out, the only ones that it has'),
+        DeclareLaunchArgument(
+            'image_topic', default_value='',
+            description='The images in the recording; left out, the only ones that it has'),
+        DeclareLaunchArgument(
             'namespace', description='Namespace of both nodes and their topics, /tf_static '
             'included', default_value=''),
         DeclareLaunchArgument(
@@ -51,5 +60,5 @@ def generate_launch_description() -> LaunchDescription:
         Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
              parameters=[config, time, autostart], remappings=[('/tf_static', 'tf_static')]),
         Node(package='starcal_ros', executable='player', output='screen', namespace=namespace,
-             parameters=[config, playback], remappings=TOPICS),
+             parameters=[config, playback]),
     ])

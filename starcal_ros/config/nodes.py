@@ -55,6 +55,17 @@ class PlayerConfig:
         'Rate at which /clock is published; 0 is not at all', 'Hz', 0.0, 1000.0)] = 40.0
     topics: Annotated[Strings, Spec(
         'Topics to publish; empty is all but the results (starcal/*)')] = ()
+    rename: Annotated[bool, Spec(
+        'Publish the sensor topics under the names of the suite, whatever theirs in the recording'
+    )] = False
+    recorded_namespace: Annotated[str, Spec(
+        'With rename: namespace of the topics in the recording; empty is any')] = ''
+    imu_topic: Annotated[str, Spec(
+        'With rename: the gyro in the recording; empty is the only one')] = ''
+    centroids_topic: Annotated[str, Spec(
+        'With rename: the centroids in the recording; empty is the only ones')] = ''
+    image_topic: Annotated[str, Spec(
+        'With rename: the images in the recording; empty is the only ones')] = ''
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that each sensor topic must have before the replay begins: the gyro, and '
         'centroids, or else spots, or else images', '', 0, 100)] = 0

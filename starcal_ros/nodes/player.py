@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `player`: publishes a recording again, no faster than its subscribers take it, then ends.
 
-Without a choice of topics the results stay out: an estimator that listens makes new ones.
+Without a choice of topics the results stay out: an estimator that listens makes new ones. The
+topics keep their names, or, with `player.rename`, get those that the estimator listens to.
 
 It publishes /clock, the time of the recording, for nodes with `use_sim_time`: it stands while the
 player is paused, never runs ahead of a message that a subscriber keeps waiting, and goes back
@@ -31,8 +32,10 @@ from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
 from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
+from starcal_ros.recording.names import CHOICES, suite_names
 
 _RESULTS = tuple(topic.recorded for topic in TOPICS if topic.result)
+_SENSORS = tuple(topic.name for topic in (IMU, *STARS))
 _OF_ROS = ('/rosout', '/parameter_events', '/clock')
 
 
@@ -45,22 +48,33 @@ class Player(parameters.AnsweringNode):
         if not player.bag:
             raise ConfigError('player.bag: not given, needs an .mcap file or a rosbag2 directory')
         bag = open_bag(Path(player.bag))
-        publishers = {topic.name: publisher for topic in self._choose(bag, player)
-                      if (publisher := self._publisher(topic))}
+        names = suite_names(bag.topics(), player.recorded_namespace, {
+            topic: getattr(player, key) for topic, key in CHOICES.items()}) if (
+                player.rename) else {}
+        # Sensors last: who listens to them has found the others.
+        chosen = sorted(self._choose(bag, player, names), key=lambda topic: names.get(
+            topic.name, topic.name).endswith(_SENSORS))
+        publishers = {topic.name: publisher for topic in chosen
+                      if (publisher := self._publisher(topic, names.get(topic.name, topic.name)))}
         start_ns = _start(bag, publishers, player)
         self._playback = SimulatedClock(start_ns, player.rate)
         self._feed = Feed(self, self._playback,
                           self._laps(bag, publishers, start_ns, player.loop))
         self._serve(player)
+        played = {names.get(name, name): publisher for name, publisher in publishers.items()
+                  if name in names or not names}
         stars = next((form for form in STARS
-                      if any(name.endswith(form.name) for name in publishers)), IMU)
-        sensors = [publisher for name, publisher in publishers.items()
+                      if any(name.endswith(form.name) for name in played)), IMU)
+        sensors = [publisher for name, publisher in played.items()
                    if name.endswith((IMU.name, stars.name))]
-        when_subscribed(self, sensors or publishers.values(), player.wait_for_subscribers,
-                        self._playback.begin)
+        when_subscribed(self, sensors or played.values(), player.wait_for_subscribers,
+                        self._playback.begin, '; the recording has ' + ', '.join(
+                            f'{topic.count} {topic.name}' for topic in bag.topics()))
         for text in bag.warnings:
             self.get_logger().warning(text)
-        self.get_logger().info(f'playing {", ".join(publishers)} of {player.bag}')
+        self.get_logger().info(f'playing {player.bag}: ' + ', '.join(
+            name if name == publisher.topic else f'{name} as {publisher.topic}'
+            for name, publisher in publishers.items()))
 
     @property
     def finished(self) -> bool:
@@ -72,9 +86,12 @@ class Player(parameters.AnsweringNode):
         self._feed.close()
         self.get_logger().info(f'{self._feed.published} messages played')
 
-    def _choose(self, bag: Bag, player: PlayerConfig) -> list[RecordedTopic]:
+    def _choose(self, bag: Bag, player: PlayerConfig, names: dict[str, str]
+                ) -> list[RecordedTopic]:
+        """Return the topics to play: those wanted, by either name, or all but the results."""
         topics = {topic.name: topic for topic in bag.topics()}
-        wanted = [self.resolve_topic_name(name) for name in player.topics]
+        recorded = {name: each for each, name in names.items()}
+        wanted = [recorded.get(name) or self.resolve_topic_name(name) for name in player.topics]
         for name in wanted:
             if name not in topics:
                 raise ConfigError(f'player.topics: got {name}, {player.bag} has '
@@ -82,12 +99,12 @@ class Player(parameters.AnsweringNode):
         return [topic for name, topic in topics.items()
                 if (name in wanted if wanted else not name.endswith(_RESULTS + _OF_ROS))]
 
-    def _publisher(self, topic: RecordedTopic) -> FlowPublisher | None:
+    def _publisher(self, topic: RecordedTopic, name: str) -> FlowPublisher | None:
         kind = message_type(topic.type) if topic.encoding == 'cdr' else None
         if kind is None:
             self.get_logger().warning(f'{topic.name} is not played: {topic.type} is not installed')
             return None
-        return FlowPublisher(self, kind, topic.name, latched='transient_local' in topic.qos)
+        return FlowPublisher(self, kind, name, latched='transient_local' in topic.qos)
 
     def _laps(self, bag: Bag, publishers: dict[str, FlowPublisher], start_ns: int, loop: bool
               ) -> Iterator[Item]:

@@ -15,9 +15,11 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from instruments import TAN2018  # noqa: E402
-from peer import LATCHED, PATIENCE_S  # noqa: E402
+from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
+from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch  # noqa: E402
+from starcal_ros.simulation import sensors  # noqa: E402
 from starcal_ros.simulation.truth import Truth  # noqa: E402
 from starcal_ros.simulation.write_recording import simulate  # noqa: E402
 
@@ -178,3 +180,67 @@ def test_simulator_with_use_sim_time_follows_the_clock(start, peer, folder):
     assert [ns(imu.header.stamp) - START_NS for imu in imus] == [k * 10**8 for k in range(1, 31)]
     sim.send_signal(signal.SIGINT)
     assert sim.wait(PATIENCE_S) == 0
+
+
+@pytest.fixture(scope='module')
+def renamed(tmp_path_factory):
+    """Return a function that records the first seconds under other names."""
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    samples, frames = gyro.next(101), tracker.next(20)
+    folder = tmp_path_factory.mktemp('renamed')
+
+    def record(*pairs):
+        path = folder / f'{"_".join(imu.replace("/", "") for imu, _ in pairs)}.mcap'
+        if not path.exists():
+            with Writer(path) as writer:
+                writer.write_batches(*(batch for imu, stars in pairs for batch in (
+                    imu_batch(imu, samples), centroids_batch(stars, frames))))
+        return path
+    return record
+
+
+LEFT = '/left/imu/data_raw', '/left/star_tracker/centroids'
+RIGHT = '/right/imu/data_raw', '/right/star_tracker/centroids'
+ODD = '/adis16505/gyro', '/cam0/stars'
+
+
+@pytest.mark.parametrize('pairs, words', [
+    ([LEFT], []), ([ODD], []),
+    ([LEFT, RIGHT], ['-p', 'player.recorded_namespace:=right']),
+    ([LEFT, ODD], ['-p', 'player.imu_topic:=/adis16505/gyro',
+                   '-p', 'player.centroids_topic:=cam0/stars'])])
+def test_recording_under_any_name_reaches_the_estimator(start, folder, renamed, pairs, words):
+    rclpy.init()
+    try:
+        peer = Peer('here')
+        start('estimator', '--params-file', str(folder / 'config.yaml'), '-r', '__ns:=/here')
+        player = start('player', '-p', f'player.bag:={renamed(*pairs)}', '-p', 'player.rate:=0.0',
+                       '-p', 'player.rename:=true', '-p', 'player.wait_for_subscribers:=1',
+                       '-r', '__ns:=/here', *words)
+        assert player.wait(PATIENCE_S) == 0, player.stderr.read()
+        last_s = sensors.star_tracker(SCENARIO).next(20).stamp_ns[-1] * 1e-9
+        peer.until(lambda: peer.states and abs(peer.states[-1].data[0] - last_s) < 1e-3)
+    finally:
+        rclpy.shutdown()
+
+
+@pytest.mark.parametrize('pairs, words, said', [
+    ([LEFT, RIGHT], [], f'player.imu_topic: needs one of {LEFT[0]}, {RIGHT[0]}'),
+    ([LEFT], ['-p', 'player.recorded_namespace:=right'],
+     f'got right, the recording has {LEFT[0]}'),
+    ([LEFT], ['-p', 'player.imu_topic:=gyro'], f'got /gyro, the recording has {LEFT[0]}')])
+def test_player_names_the_choice_where_there_is_none_or_more(start, renamed, pairs, words, said):
+    player = start('player', '-p', f'player.bag:={renamed(*pairs)}', '-p', 'player.rename:=true',
+                   *words)
+    errors = player.communicate(timeout=PATIENCE_S)[1]
+    assert player.returncode == 2 and said in errors
+
+
+def test_player_says_what_it_waits_for_and_what_there_is(start, renamed):
+    player = start('player', '-p', f'player.bag:={renamed(LEFT)}',
+                   '-p', 'player.wait_for_subscribers:=1')
+    said = next(line for line in player.stderr if 'waiting for subscribers' in line)
+    assert f'{LEFT[0]} has 0 of 1' in said
+    assert f'the recording has 101 {LEFT[0]}, 20 {LEFT[1]}' in said
+    player.send_signal(signal.SIGINT)
+    assert player.wait(PATIENCE_S) == 0

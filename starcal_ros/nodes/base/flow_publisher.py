@@ -168,10 +168,11 @@ def drain(publishers: Iterable[FlowPublisher], patience_s: float = 1.0) -> bool:
 
 
 def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
-                    callback: Callable[[], None]) -> Timer:
+                    callback: Callable[[], None], remark: str = '') -> Timer:
     """Call back, once and from the loop, when each publisher has that many subscribers.
 
-    Until then the timer that is returned looks for them.
+    Until then the timer that is returned looks for them. After five seconds it says what is
+    missing, with a remark.
     """
     publishers, began, told = list(publishers), time.monotonic(), False
 
@@ -185,7 +186,7 @@ def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
             told = True
             node.get_logger().info('waiting for subscribers: ' + ', '.join(
                 f'{publisher.topic} has {publisher.subscribers} of {count}'
-                for publisher in missing))
+                for publisher in missing) + remark)
 
     timer = run_loop.steady_timer(node, 0.02, poll)
     return timer
