@@ -61,7 +61,8 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
         (f'share/{NAME}/config/viewers', sorted(glob('config/viewers/*'))),
-        (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
+        (f'share/{NAME}/launch', [
+            f'launch/{name}.launch.py' for name in ('calibrate', 'replay', 'simulate')]),
         commands_elsewhere(),
     ],
     entry_points={'console_scripts': [f'{name} = {main}' for name, main in COMMANDS.items()]},

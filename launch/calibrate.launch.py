@@ -6,9 +6,10 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
+from starcal_ros.nodes.base.launch_end import end_in_turn
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -25,6 +26,21 @@ def generate_launch_description() -> LaunchDescription:
               ('star_tracker/centroids', LaunchConfiguration('centroids_topic')),
               ('star_tracker/image_raw', LaunchConfiguration('image_topic')),
               ('/tf_static', 'tf_static')]
+    nodes = [
+        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
+             namespace=namespace, condition=IfCondition(images), remappings=topics,
+             parameters=[*common, {'centroid_extractor.wait_for_subscribers': 2}]),
+        Node(package='starcal_ros', executable='star_identifier', output='screen',
+             namespace=namespace, condition=IfCondition(images), remappings=topics,
+             parameters=[*common, {'star_identifier.wait_for_subscribers': 2}]),
+        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
+             parameters=[*common, {'estimator.wait_for_subscribers': 1},
+                         parameter('estimator.load_calibration', 'load_calibration', bool)],
+             remappings=topics),
+        Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
+             parameters=[*common, parameter('recorder.output', 'output', str)],
+             remappings=topics),
+    ]
     return LaunchDescription([
         DeclareLaunchArgument(
             'config', description='Parameter file with the nominal values of your sensors'),
@@ -54,17 +70,5 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'autostart', description='Whether the nodes configure and activate themselves',
             default_value='true'),
-        Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
-             parameters=[*common, parameter('recorder.output', 'output', str)],
-             remappings=topics, on_exit=Shutdown()),
-        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
-             parameters=[*common, {'estimator.wait_for_subscribers': 1},
-                         parameter('estimator.load_calibration', 'load_calibration', bool)],
-             remappings=topics),
-        Node(package='starcal_ros', executable='star_identifier', output='screen',
-             namespace=namespace, condition=IfCondition(images), remappings=topics,
-             parameters=[*common, {'star_identifier.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
-             namespace=namespace, condition=IfCondition(images), remappings=topics,
-             parameters=[*common, {'centroid_extractor.wait_for_subscribers': 2}]),
+        *nodes, end_in_turn([], nodes),
     ])

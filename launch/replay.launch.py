@@ -8,10 +8,11 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
+from starcal_ros.nodes.base.launch_end import end_in_turn
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Start the player and the estimator, which stays to answer when the recording ends."""
+    """Start the player and the estimator, which ends when the recording does."""
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
     # The replay begins when the estimator listens, so that it misses nothing.
     playback = {'player.wait_for_subscribers': 1, 'player.rename': True, **{
@@ -23,6 +24,14 @@ def generate_launch_description() -> LaunchDescription:
                 'recorded_namespace', 'imu_topic', 'centroids_topic', 'image_topic')))}}
     time = {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
+    others = [
+        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
+             parameters=[config, time, autostart], remappings=[('/tf_static', 'tf_static')]),
+    ]
+    sources = [
+        Node(package='starcal_ros', executable='player', output='screen', namespace=namespace,
+             parameters=[config, playback]),
+    ]
     return LaunchDescription([
         DeclareLaunchArgument('bag', description='rosbag2 directory or .mcap file'),
         DeclareLaunchArgument(
@@ -57,8 +66,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'autostart', description='Whether the estimator configures and activates itself',
             default_value='true'),
-        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
-             parameters=[config, time, autostart], remappings=[('/tf_static', 'tf_static')]),
-        Node(package='starcal_ros', executable='player', output='screen', namespace=namespace,
-             parameters=[config, playback]),
+        DeclareLaunchArgument(
+            'linger', default_value='false',
+            description='Whether the nodes stay when the replay is over'),
+        *others, *sources, end_in_turn(sources, others, LaunchConfiguration('linger')),
     ])

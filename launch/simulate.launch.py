@@ -7,9 +7,10 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
+from starcal_ros.nodes.base.launch_end import end_in_turn
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -26,6 +27,26 @@ def generate_launch_description() -> LaunchDescription:
     output = {'recorder.output': ParameterValue(LaunchConfiguration('output'), value_type=str)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     tf = [('/tf_static', 'tf_static')]
+    others = [
+        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
+             namespace=namespace, condition=IfCondition(images),
+             parameters=[config, autostart, {'centroid_extractor.wait_for_subscribers': 2}]),
+        Node(package='starcal_ros', executable='star_identifier', output='screen',
+             namespace=namespace, condition=IfCondition(images),
+             parameters=[config, autostart, {'star_identifier.wait_for_subscribers': 2}]),
+        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
+             parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}],
+             remappings=tf),
+        Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
+             parameters=[config, output, autostart], remappings=tf),
+    ]
+    sources = [
+        Node(package='starcal_ros', executable='star_tracker_sim', output='screen',
+             namespace=namespace,
+             parameters=[config, pace, {'simulation.wait_for_subscribers': 2}]),
+        Node(package='starcal_ros', executable='gyro_sim', output='screen', namespace=namespace,
+             parameters=[config, pace, {'simulation.wait_for_subscribers': gyro_listeners}]),
+    ]
     return LaunchDescription([
         DeclareLaunchArgument(
             'config', description='Parameter file of the scenario',
@@ -46,20 +67,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'autostart', default_value='true',
             description='Whether the managed nodes configure and activate themselves'),
-        Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
-             parameters=[config, output, autostart], remappings=tf, on_exit=Shutdown()),
-        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
-             parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}],
-             remappings=tf),
-        Node(package='starcal_ros', executable='star_identifier', output='screen',
-             namespace=namespace, condition=IfCondition(images),
-             parameters=[config, autostart, {'star_identifier.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
-             namespace=namespace, condition=IfCondition(images),
-             parameters=[config, autostart, {'centroid_extractor.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='star_tracker_sim', output='screen',
-             namespace=namespace,
-             parameters=[config, pace, {'simulation.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='gyro_sim', output='screen', namespace=namespace,
-             parameters=[config, pace, {'simulation.wait_for_subscribers': gyro_listeners}]),
+        DeclareLaunchArgument(
+            'linger', default_value='false',
+            description='Whether the nodes stay when the run is over'),
+        *others, *sources, end_in_turn(sources, others, LaunchConfiguration('linger')),
     ])

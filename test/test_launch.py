@@ -7,6 +7,7 @@ The real ones load them in test_package.py where they are installed.
 
 from pathlib import Path
 import runpy
+import signal
 import sys
 from types import ModuleType
 
@@ -34,7 +35,11 @@ def classes(*names):
 
 MODULES = {
     'launch': classes('LaunchDescription'),
-    'launch.actions': classes('DeclareLaunchArgument', 'Shutdown'),
+    'launch.actions': classes('DeclareLaunchArgument', 'EmitEvent', 'RegisterEventHandler',
+                              'Shutdown'),
+    'launch.event_handlers': classes('OnProcessExit'),
+    'launch.events': classes('matches_action'),
+    'launch.events.process': classes('SignalProcess'),
     'launch.conditions': classes('IfCondition'),
     'launch.substitutions': classes('LaunchConfiguration', 'PathJoinSubstitution',
                                     'PythonExpression'),
@@ -61,6 +66,12 @@ def of(entities, name):
     return [entity for entity in entities if type(entity).__name__ == name]
 
 
+def ending(entities):
+    """Return what is called when a node ends."""
+    handler, = found(of(entities, 'RegisterEventHandler'), 'OnProcessExit')
+    return handler.kwargs['on_exit']
+
+
 def found(value, name):
     """Yield the arguments of all calls of a class in what was given to another."""
     if isinstance(value, Call):
@@ -77,7 +88,8 @@ def found(value, name):
 def test_every_argument_is_described_and_used_and_none_else(entities):
     declared = of(entities, 'DeclareLaunchArgument')
     names = [argument.args[0] for argument in declared]
-    used = {call.args[0] for call in found(of(entities, 'Node'), 'LaunchConfiguration')}
+    used = {call.args[0] for call in found(
+        [*of(entities, 'Node'), ending(entities).linger], 'LaunchConfiguration')}
     assert len(set(names)) == len(names) and set(names) == used
     assert all(len(argument.kwargs['description']) > 10 for argument in declared)
     assert 'namespace' in names and 'config' in names
@@ -149,3 +161,68 @@ def test_nothing_is_missed_at_the_beginning(entities, images):
                  'centroid_extractor': {'star_identifier'}}
     for name in nodes.keys() & listeners.keys():
         assert waits[name] == len(listeners[name] | recorders), name
+
+
+class Event:
+    """The end of a node."""
+
+    def __init__(self, node, returncode=0):
+        self.action, self.returncode = node, returncode
+        self.process_name = node.kwargs['executable']
+
+
+class Context:
+    """A launch that goes on, with one value for every argument."""
+
+    is_shutdown = False
+
+    def __init__(self, linger):
+        self.linger = linger
+
+
+def asked(actions):
+    """Return which node is asked to end, 'all' for all of them, None for none."""
+    if not actions:
+        return None
+    action, = actions
+    if type(action).__name__ == 'Shutdown':
+        return 'all'
+    event = action.kwargs['event']
+    assert event.kwargs['signal_number'] == signal.SIGINT
+    return event.kwargs['process_matcher'].args[0].kwargs['executable']
+
+
+def begun(entities, monkeypatch):
+    """Let the nodes run that have no condition, and return them by name, and what ends them."""
+    monkeypatch.setattr(Call, 'perform', lambda self, context: context.linger, raising=False)
+    for node in of(entities, 'Node'):
+        node.process_details = None if 'condition' in node.kwargs else {'pid': 1}
+    return {node.kwargs['executable']: node for node in of(entities, 'Node')}, ending(entities)
+
+
+def test_each_node_ends_after_those_that_speak_to_it(entities, monkeypatch):
+    nodes, at_end = begun(entities, monkeypatch)
+    last = None
+    for source in at_end.sources:
+        assert last is None
+        last = asked(at_end(Event(source), Context('false')))
+    order = [last]
+    while order[-1] not in (None, 'all'):
+        order.append(asked(at_end(Event(nodes[order[-1]]), Context('false'))))
+    running = [name for name, node in nodes.items() if node.process_details]
+    assert order == ([None] if 'gyro_sim' not in running and 'player' not in running else
+                     [name for name in ('estimator', 'recorder') if name in running] + ['all'])
+
+
+def test_nodes_linger_where_they_are_asked_to(entities, monkeypatch):
+    _, at_end = begun(entities, monkeypatch)
+    for source in at_end.sources:
+        assert asked(at_end(Event(source), Context('true'))) is None
+
+
+def test_node_that_fails_ends_the_launch_with_an_error(entities, monkeypatch):
+    nodes, at_end = begun(entities, monkeypatch)
+    for name, node in nodes.items():
+        with pytest.raises(RuntimeError, match=f'{name} ended with status 2'):
+            at_end(Event(node, 2), Context('true'))
+    assert asked(at_end(Event(nodes['estimator']), Context('true'))) == 'all'

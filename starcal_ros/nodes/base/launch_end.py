@@ -1,0 +1,67 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How a launch ends by itself: for the launch files, with launch alone, no node of its own.
+
+When the run or the replay is over, each node that is left is asked to end when those that speak to
+it have ended, so that it has all that they said. A node that fails ends the launch at once, with
+status 1: the others would wait for it.
+
+launch is imported when it is used: the nodes do without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import signal
+from typing import Any
+
+
+class Ending:
+    """Answers to the end of each node.
+
+    Parameters
+    ----------
+    sources : sequence of Node
+        When all of them have ended, the run is over; without any it never is.
+    others : sequence of Node
+        The other nodes, each before those that it speaks to.
+    linger : LaunchConfiguration, optional
+        Whether these stay when the run is over.
+    """
+
+    def __init__(self, sources: Sequence[Any], others: Sequence[Any], linger: Any = None) -> None:
+        self.sources, self.others, self.linger = sources, others, linger
+        self._ended: list[Any] = []
+        self._over = False
+
+    def __call__(self, event: Any, context: Any) -> list[Any]:
+        """Return what is to be done now."""
+        from launch.actions import EmitEvent, Shutdown
+        from launch.events import matches_action
+        from launch.events.process import SignalProcess
+        if context.is_shutdown:
+            return []
+        name = event.process_name
+        if event.returncode != 0:
+            raise RuntimeError(f'{name} ended with status {event.returncode}')
+        self._ended.append(event.action)
+        if event.action in self.others and not self._over:
+            return [Shutdown(reason=f'{name} ended')]
+        if not self.sources or not all(each in self._ended for each in self.sources):
+            return []
+        if self.linger and self.linger.perform(context).lower() in ('true', '1'):
+            return []
+        self._over = True
+        for node in self.others:
+            if node.process_details is not None and node not in self._ended:
+                return [EmitEvent(event=SignalProcess(
+                    signal_number=signal.SIGINT, process_matcher=matches_action(node)))]
+        return [Shutdown(reason='the run is over')]
+
+
+def end_in_turn(sources: Sequence[Any], others: Sequence[Any], linger: Any = None
+                ) -> Any:
+    """Return the action for a launch description; see `Ending`."""
+    from launch.actions import RegisterEventHandler
+    from launch.event_handlers import OnProcessExit
+    return RegisterEventHandler(OnProcessExit(on_exit=Ending(sources, others, linger)))
