@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages.topics import CENTROIDS, IMAGES, IMU, TOPICS, Topic
 from starcal_ros.recording.bag import RecordedTopic
-from starcal_ros.recording.reader import candidates
+from starcal_ros.recording.topic_choice import Role, candidates
 
 CHOICES = {IMU: 'imu_topic', CENTROIDS: 'centroids_topic', IMAGES: 'image_topic'}
 """The topics that may have any name, and the parameter of the player that has it."""
@@ -56,7 +56,8 @@ def suite_names(topics: list[RecordedTopic], namespace: str, given: Mapping[Topi
                 raise ConfigError(f'player.{CHOICES[topic]}: got {name}, {_holds(topics)}')
             names[name] = topic.name
             continue
-        found = [each for each in candidates(inside, space + topic.name, topic.type_name)
+        role = Role('', space + topic.name, topic.type_name)
+        found = [each for each in candidates(inside, role)
                  if topic in CHOICES or each.name.endswith('/' + topic.name)]
         if len(found) > 1 and topic in CHOICES and (topic is not IMAGES or len(names) < 2):
             raise ConfigError(
