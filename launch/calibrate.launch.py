@@ -5,9 +5,9 @@
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import LaunchDescription
+from launch import Condition, LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration
 from starcal_ros.nodes.base.launch_end import end_in_turn
 
@@ -26,6 +26,14 @@ def generate_launch_description() -> LaunchDescription:
               ('star_tracker/centroids', LaunchConfiguration('centroids_topic')),
               ('star_tracker/image_raw', LaunchConfiguration('image_topic')),
               ('/tf_static', 'tf_static')]
+
+    def estimator(condition: Condition, *more: dict[str, bool]) -> Node:
+        return Node(package='starcal_ros', executable='estimator', output='screen',
+                    namespace=namespace, condition=condition, remappings=topics,
+                    parameters=[*common, {'estimator.wait_for_subscribers': 1},
+                                parameter('estimator.load_calibration', 'load_calibration', bool),
+                                *more])
+
     nodes = [
         Node(package='starcal_ros', executable='centroid_extractor', output='screen',
              namespace=namespace, condition=IfCondition(images), remappings=topics,
@@ -33,10 +41,9 @@ def generate_launch_description() -> LaunchDescription:
         Node(package='starcal_ros', executable='star_identifier', output='screen',
              namespace=namespace, condition=IfCondition(images), remappings=topics,
              parameters=[*common, {'star_identifier.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
-             parameters=[*common, {'estimator.wait_for_subscribers': 1},
-                         parameter('estimator.load_calibration', 'load_calibration', bool)],
-             remappings=topics),
+        # The sigma of a centroid that is extracted holds the trail of a moving star already.
+        estimator(UnlessCondition(images)),
+        estimator(IfCondition(images), {'star_tracker.smear': False}),
         Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
              parameters=[*common, parameter('recorder.output', 'output', str)],
              remappings=topics),

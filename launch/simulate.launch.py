@@ -6,9 +6,9 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from launch import LaunchDescription
+from launch import Condition, LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
 from starcal_ros.nodes.base.launch_end import end_in_turn
 
@@ -27,6 +27,12 @@ def generate_launch_description() -> LaunchDescription:
     output = {'recorder.output': ParameterValue(LaunchConfiguration('output'), value_type=str)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     tf = [('/tf_static', 'tf_static')]
+
+    def estimator(condition: Condition, *more: dict[str, bool]) -> Node:
+        return Node(package='starcal_ros', executable='estimator', output='screen',
+                    namespace=namespace, condition=condition, remappings=tf,
+                    parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}, *more])
+
     others = [
         Node(package='starcal_ros', executable='centroid_extractor', output='screen',
              namespace=namespace, condition=IfCondition(images),
@@ -34,9 +40,9 @@ def generate_launch_description() -> LaunchDescription:
         Node(package='starcal_ros', executable='star_identifier', output='screen',
              namespace=namespace, condition=IfCondition(images),
              parameters=[config, autostart, {'star_identifier.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
-             parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}],
-             remappings=tf),
+        # The sigma of a centroid that is extracted holds the trail of a moving star already.
+        estimator(UnlessCondition(images)),
+        estimator(IfCondition(images), {'star_tracker.smear': False}),
         Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
              parameters=[config, output, autostart], remappings=tf),
     ]
