@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+import os
 from pathlib import Path, PurePath
 import re
 import shlex
@@ -73,7 +74,7 @@ def find(path: Path) -> BagFiles:
     """
     if path.is_dir():
         return _unpacked(_of_folder(path))
-    if not path.exists():
+    if not os.path.exists(path):
         raise RecordError(f'{path} does not exist; a recording is one .mcap file or a rosbag2 '
                           'directory')
     if not path.is_file():
@@ -98,7 +99,7 @@ def _of_folder(path: Path) -> BagFiles:
     except (OSError, DocumentError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise RecordError(f'{metadata} cannot be read as the metadata of a rosbag2 directory: '
                           f'{type(error).__name__} {" ".join(str(error).split())}') from error
-    missing = [file.name for file in files if not file.exists()]
+    missing = [file.name for file in files if not os.path.exists(file)]   # a name may be too long
     if missing or not files:
         raise RecordError(f'{metadata} names files that are missing: {", ".join(missing)}'
                           if files else f'{metadata} names no files')

@@ -490,6 +490,8 @@ def test_what_is_no_recording_is_an_error_in_one_line(tmp_path, content, message
     ('a: 1', "KeyError 'rosbag2_bagfile_information'"),
     ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: [gone.mcap]}',
      'names files that are missing: gone.mcap'),
+    ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: ['
+     + 'x' * 400 + ']}', 'names files that are missing: xxx'),
     ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: []}',
      'names no files'),
     ('rosbag2_bagfile_information: {storage_identifier: tape, relative_file_paths: [run.mcap]}',
