@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibrate your own star tracker and gyros live and record the run."""
 
+from __future__ import annotations
+
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import Condition, LaunchDescription
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration
@@ -27,7 +29,7 @@ def generate_launch_description() -> LaunchDescription:
               ('star_tracker/image_raw', LaunchConfiguration('image_topic')),
               ('/tf_static', 'tf_static')]
 
-    def estimator(condition: Condition, *more: dict[str, bool]) -> Node:
+    def estimator(condition: IfCondition | UnlessCondition, *more: dict[str, bool]) -> Node:
         return Node(package='starcal_ros', executable='estimator', output='screen',
                     namespace=namespace, condition=condition, remappings=topics,
                     parameters=[*common, {'estimator.wait_for_subscribers': 1},

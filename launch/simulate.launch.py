@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate a star tracker and its gyros, calibrate them live and record the run."""
 
+from __future__ import annotations
+
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from launch import Condition, LaunchDescription
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
@@ -28,7 +30,7 @@ def generate_launch_description() -> LaunchDescription:
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     tf = [('/tf_static', 'tf_static')]
 
-    def estimator(condition: Condition, *more: dict[str, bool]) -> Node:
+    def estimator(condition: IfCondition | UnlessCondition, *more: dict[str, bool]) -> Node:
         return Node(package='starcal_ros', executable='estimator', output='screen',
                     namespace=namespace, condition=condition, remappings=tf,
                     parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}, *more])

@@ -40,7 +40,7 @@ MODULES = {
     'launch.event_handlers': classes('OnProcessExit'),
     'launch.events': classes('matches_action'),
     'launch.events.process': classes('SignalProcess'),
-    'launch.conditions': classes('IfCondition'),
+    'launch.conditions': classes('IfCondition', 'UnlessCondition'),
     'launch.substitutions': classes('LaunchConfiguration', 'PathJoinSubstitution',
                                     'PythonExpression'),
     'launch_ros': {},
@@ -129,9 +129,28 @@ def test_defaults_are_values_of_their_types(entities):
 
 def test_transforms_stay_in_the_namespace(entities):
     """Two estimators would else contradict each other about the same two frames."""
+    estimators = [node for node in of(entities, 'Node')
+                  if node.kwargs['executable'] == 'estimator']
+    assert estimators and all(
+        ('/tf_static', 'tf_static') in node.kwargs['remappings'] for node in estimators)
+
+
+def runs(node, with_images):
+    """Tell whether a node is started."""
+    condition = node.kwargs.get('condition')
+    return condition is None or (type(condition).__name__ == 'IfCondition') == with_images
+
+
+@pytest.mark.parametrize('with_images', [False, True])
+def test_one_estimator_runs_and_counts_the_trail_of_a_star_once(entities, with_images):
+    """The sigma of a centroid that is extracted from an image holds it already."""
+    if 'images' not in [argument.args[0] for argument in of(entities, 'DeclareLaunchArgument')]:
+        with_images = False
     estimator, = (node for node in of(entities, 'Node')
-                  if node.kwargs['executable'] == 'estimator')
-    assert ('/tf_static', 'tf_static') in estimator.kwargs['remappings']
+                  if node.kwargs['executable'] == 'estimator' and runs(node, with_images))
+    given = {key: value for values in estimator.kwargs['parameters'][1:]
+             for key, value in values.items()}
+    assert given.get('star_tracker.smear', True) is not with_images
 
 
 def value_of(value, images):
@@ -148,7 +167,7 @@ def test_nothing_is_missed_at_the_beginning(entities, images):
     with_images = images != 'false' and 'images' in [
         argument.args[0] for argument in of(entities, 'DeclareLaunchArgument')]
     nodes = {node.kwargs['executable']: node for node in of(entities, 'Node')
-             if with_images or 'condition' not in node.kwargs}
+             if runs(node, with_images)}
     waits = {name: max((value_of(value, images) for given in node.kwargs['parameters'][1:]
                         for key, value in given.items() if key.endswith('wait_for_subscribers')),
                        default=0) for name, node in nodes.items()}
@@ -193,11 +212,12 @@ def asked(actions):
 
 
 def begun(entities, monkeypatch):
-    """Let the nodes run that have no condition, and return them by name, and what ends them."""
+    """Let the nodes run that do without images, and return them by name, and what ends them."""
     monkeypatch.setattr(Call, 'perform', lambda self, context: context.linger, raising=False)
     for node in of(entities, 'Node'):
-        node.process_details = None if 'condition' in node.kwargs else {'pid': 1}
-    return {node.kwargs['executable']: node for node in of(entities, 'Node')}, ending(entities)
+        node.process_details = {'pid': 1} if runs(node, False) else None
+    nodes = sorted(of(entities, 'Node'), key=lambda node: node.process_details is not None)
+    return {node.kwargs['executable']: node for node in nodes}, ending(entities)
 
 
 def test_each_node_ends_after_those_that_speak_to_it(entities, monkeypatch):

@@ -49,7 +49,7 @@ N_EFFECTS = len(CHANGING) * SLOTS
 _FIRST = len(HYPOTHESES)        # effect of the first candidate
 
 
-class Change(NamedTuple):
+class ModelChange(NamedTuple):
     """A change that was found.
 
     Attributes
@@ -94,7 +94,7 @@ class Answer(NamedTuple):
 
     Attributes
     ----------
-    change : Change
+    change : ModelChange
     error : (n,) array
         By which the scaled states are off.
     columns : (n, k) array
@@ -103,7 +103,7 @@ class Answer(NamedTuple):
         Random walk of the calibrated states from now on, in units of SCALE per root second.
     """
 
-    change: Change
+    change: ModelChange
     error: Array
     columns: Array
     density: Array
@@ -211,8 +211,9 @@ class Changes:
         since_ns = self._starts[slot]
         within = [abs(since_ns - self._starts[other]) for other in beside]
         size, sigma = fit.p[_FIRST + best], fit.sigma[_FIRST + best]
-        change = Change('step', tuple(what), since_ns, 1e-9 * max(within, default=0), now_ns,
-                        STEP_NUMBERS[state], tuple(size.tolist()), tuple(sigma.tolist()))
+        change = ModelChange(
+            'step', tuple(what), since_ns, 1e-9 * max(within, default=0), now_ns,
+            STEP_NUMBERS[state], tuple(size.tolist()), tuple(sigma.tolist()))
         return Answer(change, moved, np.concatenate(columns, axis=-1), np.zeros(len(SCALE) - 3))
 
     @staticmethod
@@ -227,9 +228,9 @@ class Changes:
         elapsed_s = 1e-9 * max(now_ns - self._since_ns, 1)
         # Over the time that it took, the walk covers what the drift did in it.
         rate = np.abs(STEPS[state][CALIBRATED] @ fit.p[drift]) / 3600.0
-        change = Change('drift', (CHANGING[state],), self._since_ns, 0.0, now_ns,
-                        HYPOTHESES[drift].numbers, tuple(fit.p[drift].tolist()),
-                        tuple(fit.sigma[drift].tolist()))
+        change = ModelChange(
+            'drift', (CHANGING[state],), self._since_ns, 0.0, now_ns, HYPOTHESES[drift].numbers,
+            tuple(fit.p[drift].tolist()), tuple(fit.sigma[drift].tolist()))
         return Answer(change, moved, np.concatenate(
             (responses.of(drift) @ fit.root[drift], moved[:, None]), axis=-1),
             rate * np.sqrt(elapsed_s))

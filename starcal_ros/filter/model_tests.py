@@ -28,7 +28,7 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
 from starcal_ros.filter import hypotheses
 from starcal_ros.filter.belief import Nominal
-from starcal_ros.filter.changes import N_EFFECTS, Answer, Change, Changes
+from starcal_ros.filter.changes import N_EFFECTS, Answer, ModelChange, Changes
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS, Sight
 from starcal_ros.filter.innovation_tests import (MARGIN, SCATTER, SPREAD, WINDOW, FrameInnovation,
@@ -90,7 +90,7 @@ class ModelTests:
     history : list of (int, tuple of Statistic)
         What the statistics of the first run were at the end of each window, and its stamp; of a
         run of more than `HISTORY` windows every second, every fourth and so on.
-    changes : list of Change
+    changes : list of ModelChange
         Steps and drifts that were answered.
     """
 
@@ -100,7 +100,7 @@ class ModelTests:
         self._n, self._batch = len(filter_.scale), batch
         self._gated = gated_nis(gate_probability)
         self.history: list[tuple[int, tuple[Statistic, ...]]] = []
-        self.changes: list[Change] = []
+        self.changes: list[ModelChange] = []
         self._thinned = 1
         self._windows = 0
         self._begin()
