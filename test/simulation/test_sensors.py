@@ -267,7 +267,8 @@ def pole(limiting_magnitude=6.2, **more):
     """Return the only frame of a sky with one star, of magnitude 1, at which the camera looks."""
     setting = Scenario().replace({
         'camera.width': 1000, 'camera.height': 601, 'observer.velocity': 'barycentre',
-        'star_tracker.limiting_magnitude': limiting_magnitude, **NOISELESS, **more})
+        'star_tracker.limiting_magnitude': limiting_magnitude, 'star_tracker.smear': False,
+        **NOISELESS, **more})
     star = Catalog(np.array([7]), *np.array([[0.0], [np.pi / 2], [0.0], [0.0], [0.0], [1.0]]))
     return StarTrackerSimulator(setting, Truth.from_scenario(setting), star,
                                 np.random.default_rng(1)).next(1)

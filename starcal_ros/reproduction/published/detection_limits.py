@@ -29,7 +29,8 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     calibrator = Calibrator(scenario)
     calibrator.add_gyro(gyro.next(gyro.count))
     calibrator.add_frames(tracker.next(tracker.count))
-    times = [time for time in TIMES_MIN if 60.0 * time <= scenario.simulation.duration_s]
+    length_min = scenario.simulation.duration_s / 60.0
+    times = [time for time in TIMES_MIN if time <= length_min] or [length_min]
     per_minute = 60.0 * scenario.star_tracker.rate_hz
     found: dict[tuple[str, str], list[float]] = {}
     for k, _ in enumerate(calibrator.process(), start=1):
@@ -45,8 +46,8 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     rows = tuple((name, number, *(size if np.isfinite(size) else '-' for size in sizes))
                  for (name, number), sizes in found.items())
     return Outcome(
-        f'What is found of what the model lacks, {scenario.simulation.duration_s / 60.0:g} min',
-        ('effect', 'number', *(f'{time:g} min' for time in times)), rows,
+        f'What is found of what the model lacks, {length_min:.3g} min',
+        ('effect', 'number', *(f'{time:.3g} min' for time in times)), rows,
         ('Sizes that are found in half of all runs: after that time from the beginning of the '
          'run; of a step after that time from the step on, in a run that has been calibrated '
          'for most of its length.',
