@@ -15,7 +15,7 @@ from starcal_ros.nodes.base.stamps import status_stamp
 
 
 def message(node: Node, estimate: CameraEstimate | None, judged: CameraVerdict | None,
-            newest_ns: int) -> DiagnosticArray:
+            newest_ns: int = 0) -> DiagnosticArray:
     """Return verdict, counts, sigmas and each test; WARN while there is no camera."""
     prefix = f'{node.get_namespace().strip("/")}/'.lstrip('/')
     values: dict[str, str] = {}
