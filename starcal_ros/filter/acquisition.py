@@ -129,11 +129,19 @@ def agreed(filter_: Filter, belief: Belief, stars: Stars) -> tuple[Belief, Stars
     return found if filter_.feedback else belief, frame
 
 
-def turned(filter_: Filter, belief: Belief, stars: Stars, update: Update) -> Stars | None:
-    """Return the stars that agree on a turn which the prediction denies; None for no such turn.
+def is_torn(stars: Stars, update: Update) -> bool:
+    """Tell whether the gates of the stars may have torn a frame apart.
 
     A turn that nobody saw puts all stars beside their gates alike, so that some of the good ones
     are rejected and the others are all off: stars that are wrong would leave the rest as it is.
+    """
+    used, usable = int(update.accepted.sum()), int(np.isfinite(stars.sigma).sum())
+    return (usable >= MIN_STARS and used <= _MOST * usable
+            and (not used or bool(update.nis > _TORN * 2 * used)))
+
+
+def turned(filter_: Filter, belief: Belief, stars: Stars) -> Stars | None:
+    """Return the stars that agree on a turn which the prediction denies; None for no such turn.
 
     Parameters
     ----------
@@ -143,14 +151,7 @@ def turned(filter_: Filter, belief: Belief, stars: Stars, update: Update) -> Sta
         At the frame's stamp, its prediction not wide.
     stars : Stars
         The frame.
-    update : Update
-        What the gates of the stars made of it.
     """
-    used, usable = int(update.accepted.sum()), int(np.isfinite(stars.sigma).sum())
-    if usable < MIN_STARS or used > _MOST * usable:
-        return None
-    if used and update.nis <= _TORN * 2 * used:
-        return None
     now = belief.estimate
     try:
         C_gi, _ = _look(filter_, belief, stars)

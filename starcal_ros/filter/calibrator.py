@@ -25,7 +25,7 @@ from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
-from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed, turned
+from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed, is_torn, turned
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
@@ -133,7 +133,7 @@ class Calibrator:
         self._newest_frame_ns = NEVER_NS
         self.consistency = ModelTests(
             self.filter, self._scenario.estimator.gate_probability)
-        self._rejected_in_a_row = 0
+        self._rejected_in_a_row = self._torn_in_a_row = 0
         self._lost = False                              # the attitude, before this frame
         self._recent: deque[tuple[int, Array, int]] = deque()
         self._tracker = AttitudeTracker(self.filter, self._period_ns)
@@ -348,13 +348,17 @@ class Calibrator:
     def _together(self, belief: Belief, frame: Stars, update: Update
                   ) -> tuple[Belief, Stars, Update]:
         """Judge the stars of a frame by each other where their own gates can not."""
+        torn = update.spread <= WIDE and is_torn(frame, update)
+        self._torn_in_a_row = self._torn_in_a_row + 1 if torn else 0
         if update.spread > WIDE:
             belief, frame = agreed(self.filter, belief, frame)
             update = self.filter.update(belief, frame, judged=True)
             if not update.accepted.any():
                 self._notices.once('agree', f'the stars of the frame at {self.stamp_ns} ns do not '
                                    'agree with each other: not used')
-        elif (stars := turned(self.filter, belief, frame, update)) is not None:
+        # What goes on for long is noise, no turn: the gates are right then.
+        elif 0 < self._torn_in_a_row <= self._patience and (
+                stars := turned(self.filter, belief, frame)) is not None:
             self._notices.once('turned', f'the stars of the frame at {self.stamp_ns} ns agree on '
                                'a turn that the gyro did not see')
             frame = stars

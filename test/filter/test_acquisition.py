@@ -16,7 +16,7 @@ from starcal_ros.core.consensus import consensus
 from starcal_ros.core.units import ARCSEC, DEG
 from starcal_ros.filter import acquisition
 from starcal_ros.filter.acquisition import (MIN_STARS, WIDE, AcquisitionError, acquire, agreed,
-                                            turned)
+                                            is_torn, turned)
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter
 from starcal_ros.filter.states import CALIBRATED, LENS, SCALE, THETA
@@ -306,7 +306,7 @@ def seen_after(look, arcsec, stars=None):
     moved = belief.nominal.without(np.array([arcsec * ARCSEC, *(0.0,) * 15]))
     belief = replace(belief, nominal=moved)
     stars = look.stars if stars is None else stars
-    return turned(FILTER, belief, stars, FILTER.update(belief, stars))
+    return turned(FILTER, belief, stars) if is_torn(stars, FILTER.update(belief, stars)) else None
 
 
 @pytest.mark.parametrize('place', PLACES)

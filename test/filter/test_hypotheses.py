@@ -20,14 +20,14 @@ from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
-SCENARIO = TAN2018.replace({'simulation.duration_s': 600.0, 'motion.dwell_s': 5.0,
+SCENARIO = TAN2018.replace({'simulation.duration_s': 450.0, 'motion.dwell_s': 5.0,
                             'estimator.answer_changes': False})
 HOUR = 3600.0
 TRUTH = Truth.from_scenario(SCENARIO)
 
 
 def fitted(settings=None, spoil=None):
-    """Return name, size, sigma and standing of each effect after ten minutes."""
+    """Return the calibrator, and the sizes that fit, after some minutes."""
     spoilt = SCENARIO.replace(settings or {})
     gyro, tracker = sensors.gyro(spoilt), sensors.star_tracker(spoilt)
     samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
@@ -160,8 +160,8 @@ def test_of_a_right_model_each_size_is_nought_within_its_sigma():
 
 
 def test_an_effect_that_does_no_harm_does_not_count():
-    """A time offset of 0.15 ms is told by 6 of its sigmas and shifts no state by half of one."""
-    calibrator, fit = fitted({'truth.star_tracker.time_offset_s': 0.00015})
+    """A time offset of 0.18 ms is told by 5 of its sigmas and shifts no state by half of one."""
+    calibrator, fit = fitted({'truth.star_tracker.time_offset_s': 0.00018})
     assert fit.p[0, 0] / fit.sigma[0, 0] < -4.0
     assert failing(calibrator) == set()
     assert model_tests.HARM < 1.0 and ALARM < 1e-3 and LEAST > 0

@@ -16,11 +16,11 @@ from starcal_ros.filter.innovation_tests import (CELLS, WINDOW, FrameInnovation,
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.simulation import sensors
 
-RUN = {'simulation.duration_s': 900.0, 'motion.dwell_s': 5.0}
+RUN = {'simulation.duration_s': 600.0, 'motion.dwell_s': 5.0}
 
 
 def calibrated(settings=None, spoil=None, seed=1):
-    """Return the calibrator after a quarter of an hour of simulated or spoilt messages."""
+    """Return the calibrator after ten minutes of simulated or spoilt messages."""
     scenario = TAN2018.replace({**RUN, 'simulation.seed': seed, **(settings or {})})
     gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
     samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
