@@ -47,13 +47,19 @@ def run(options: argparse.Namespace) -> int:
 
 def _uses(options: argparse.Namespace) -> dict[str, str]:
     """Return the topics that other commands would read, by what they are; say what is open."""
+    from starcal_ros.messages.cdr import RecordError
     from starcal_ros.recording.bag import open_bag
     from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, candidates, choose
     bag, path, uses = open_bag(Path(options.bag)), Path(options.bag), {}
     for word, role, given in zip(('gyro', 'frames', 'images'), (GYRO, FRAMES, IMAGE),
                                  arguments.topics(options)):
         if given or len(found := candidates(bag.topics(), role)) == 1:
-            uses[word] = choose(bag, role, path, given).name
+            try:
+                uses[word] = choose(bag, role, path, given).name
+            except RecordError as error:
+                if given:
+                    raise
+                show(f'warning: {error}')
         elif found:
             show(f'{len(found)} topics may be the {word}: {role.option} chooses one')
     return uses

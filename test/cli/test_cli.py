@@ -421,7 +421,8 @@ def test_a_choice_that_is_needed_is_asked_for(starcal, two_gyros, tmp_path, monk
 def test_the_chosen_gyro_is_calibrated(starcal, bag, two_gyros, tmp_path):
     results = []
     for path, words in ((bag, []), (two_gyros, ['--gyro-topic', '/d435/gyro'])):
-        assert starcal('calibrate', path, *words, '--out', tmp_path / 'r.json').status == NOT_YET
+        assert starcal('calibrate', path, *words, '--out', tmp_path / 'r.json',
+                       '--overwrite').status == NOT_YET
         results.append(json.loads((tmp_path / 'r.json').read_text()))
     assert results[0]['covariance'] == results[1]['covariance']
 

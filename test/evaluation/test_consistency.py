@@ -358,8 +358,8 @@ def wrong_Q(monkeypatch):
 
 def wrong_R(monkeypatch):
     update = Filter.update
-    monkeypatch.setattr(Filter, 'update', lambda self, belief, stars, gated=True: update(
-        self, belief, stars._replace(sigma=stars.sigma * np.sqrt(1.2)), gated))
+    monkeypatch.setattr(Filter, 'update', lambda self, belief, stars, **words: update(
+        self, belief, stars._replace(sigma=stars.sigma * np.sqrt(1.2)), **words))
 
 
 def wrong_slope(column):
@@ -375,8 +375,8 @@ def wrong_slope(column):
 
 
 def wrong_transition(monkeypatch):
-    propagate = Filter.propagate
-    monkeypatch.setattr(Filter, 'propagate', lambda self, belief, gyro: propagate(
+    propagated = Filter.propagated
+    monkeypatch.setattr(Filter, 'propagated', lambda self, belief, gyro: propagated(
         self, belief, gyro._replace(J=1.2 * gyro.J)))
 
 
