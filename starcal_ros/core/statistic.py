@@ -32,6 +32,8 @@ class Statistic(NamedTuple):
         Stamp of the end of the window in which it failed first, and has failed since.
     fits : str
         What would make it pass, in words; empty where nothing is known.
+    gain : float
+        Twice the logarithm of the likelihood ratio of what fits; 0 where nothing was fitted.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Statistic(NamedTuple):
     samples: int
     since_ns: int | None = None
     fits: str = ''
+    gain: float = 0.0
 
     @property
     def passed(self) -> bool:
@@ -49,11 +52,14 @@ class Statistic(NamedTuple):
 
     @property
     def excess(self) -> float:
-        """How far the value is outside of its band: as a part of the bound it passed, or 0."""
+        """How clearly it fails, 0 where it passes: beyond its band, as a part of the bound.
+
+        What is fitted goes by its likelihood, whatever harm it does.
+        """
         if self.passed:
             return 0.0
-        bound = self.high if self.value > self.high else self.low
-        return abs(self.value - bound) / max(abs(bound), 1e-300)
+        bound, value = (self.high if self.value > self.high else self.low), self.value
+        return abs(max(value, self.gain) - bound) / max(abs(bound), 1e-300)
 
     @property
     def sentence(self) -> str:

@@ -272,7 +272,7 @@ class ModelTests:
                 yield Statistic(
                     effect.name, float(counted[k]), 0.0,
                     MARGIN * chi2_beyond(ALARM / effect.tried, int(fit.freedom[k])), frames,
-                    fits=_sizes(effect.numbers, fit, k, float(harm[k])))
+                    fits=_sizes(effect.numbers, fit, k, float(harm[k])), gain=float(fit.gain[k]))
 
     def _fitted(self, counted: Array) -> list[Effect]:
         """Return the effects to be told, of those of one kind the worst."""
