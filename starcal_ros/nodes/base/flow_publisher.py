@@ -11,9 +11,8 @@ died without a word is forgotten when its lease ends (Fast DDS: 20 s).
 A latched topic (results, truth) is transient local and keeps its last message: of several, who
 comes late would get the oldest first, as `ros2 topic echo --once` showed. `FlowPublisher` waits
 where it would overwrite one that a subscriber has not acknowledged. That takes 5 ms, or 3 s where
-the acknowledgement is missed; on a machine that is busy, tenths of a second. In a run that is that
-much faster than real time, a few are therefore published ahead: they are with the transport by
-then, which holds them for a subscriber of the same machine.
+the acknowledgement is missed; on a machine that is busy, tenths of a second: a run that is that
+much faster than real time is slowed down, for one that is overwritten is lost.
 
 The other side is `matched_subscription`.
 """
@@ -36,8 +35,6 @@ from starcal_ros.nodes.base.qos import LATCHED, POLICIES, STREAM
 
 PATIENCE_S = 10.0               # of a node that serves sensors, with a subscriber that hangs
 _POLL = Duration(seconds=0.05)  # a signal is seen between two of these
-_MOMENT = Duration(seconds=0.001)
-_AHEAD, _FAST_S = 5, 0.05       # latched messages ahead of those acknowledged, and how close
 _WORTH_TELLING_S = 5.0
 _GRACE_S = 3.0                  # after a stop, to hand over what has been worked out
 _RETRY_S = 1.0                  # between tries for a subscriber that takes nothing
@@ -67,8 +64,6 @@ class FlowPublisher:
             event_callbacks=PublisherEventCallbacks(
                 incompatible_qos=self._on_incompatible, use_default_callbacks=False))
         self.latched = latched
-        self._unacknowledged = 0        # messages since all were acknowledged
-        self._published_s = -math.inf
         self._log = node.get_logger()
         self._waiting_since: float | None = None
         self._patience_s = patience_s
@@ -127,19 +122,10 @@ class FlowPublisher:
                 time.sleep(1e-3)            # in case the middleware did not wait
                 return False
             self._publisher.publish(message)            # nobody to wait for: a real error
-        self._unacknowledged += 1
-        self._published_s = time.monotonic()
         return True
 
     def _has_room(self) -> bool:
-        if not self.latched:
-            return True
-        ahead = (self._unacknowledged < _AHEAD
-                 and time.monotonic() - self._published_s < _FAST_S)
-        if self._publisher.wait_for_all_acked(_MOMENT if ahead else _POLL):
-            self._unacknowledged = 0
-            return True
-        return ahead
+        return not self.latched or bool(self._publisher.wait_for_all_acked(_POLL))
 
     @property
     def _waited_s(self) -> float:
