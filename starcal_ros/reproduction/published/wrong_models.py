@@ -51,7 +51,8 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     for name, (row, *_) in zip(names, tasks):
         with np.load(name) as arrays:
             found.setdefault(row.name, []).append(dict(arrays))
-    rows = [(*_row(row.name, found[row.name]), live.get(row.name, '-')) for row in (*ROWS, CLEAN)]
+    rows = [('right' if row is CLEAN else 'wrong', *_row(row.name, found[row.name]),
+             live.get(row.name, '-')) for row in (*ROWS, CLEAN)]
     worst = [f'{row.name}, seed {seed}' for row in (*ROWS, CLEAN)
              for seed, each in enumerate(found[row.name], start=1)
              if str(each['word']) == CONVERGED and np.abs(each['error'][3:]).max() > _ALLOWED]
@@ -60,8 +61,9 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
                  or bool(np.isfinite(each['alarm_s'])) for each in clean)
     return Outcome(
         f'Wrong models, {runs} runs each, {len(clean)} of the right one',
-        ('what is wrong', 'calibrated, sigma', 'attitude, sigma', 'NEES', 'alarm after, s',
-         'converged', 'not yet', 'inconsistent', 'lost', 'clearest statistic or change', 'live'),
+        ('model', 'what is wrong', 'calibrated, sigma', 'attitude, sigma', 'NEES',
+         'alarm after, s', 'converged', 'not yet', 'inconsistent', 'lost',
+         'clearest statistic or change', 'live'),
         tuple(rows),
         ('Errors over stated sigmas: the largest of the calibrated states and of the attitude, '
          'median over the runs. A step or drift that was seen is answered and then counts as '
