@@ -11,6 +11,8 @@ from pathlib import Path
 from starcal_ros.calibration import invariants
 from starcal_ros.config import models, parameter_file
 from starcal_ros.core import camera
+from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.simulation import sensors
 
 TOP = Path(__file__).resolve().parents[1]
 CONFIG = TOP / 'config' / 'tan2018.yaml'
@@ -29,3 +31,23 @@ EXTERNAL = _DATA / 'external_tan2018'
 """A recording by others of the same instrument; not part of the checkout."""
 REAL_SKY = _DATA / 'real_sky'
 """Folders of real images with their stars; not part of the checkout."""
+
+
+def calibrated(stated, simulated=None, spoil=None):
+    """Return the calibrator of a scenario after the messages of another, or of spoilt ones."""
+    simulated = simulated or stated
+    gyro, tracker = sensors.gyro(simulated), sensors.star_tracker(simulated)
+    samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
+    if spoil:
+        samples, frames = spoil(samples, frames)
+    calibrator = Calibrator(stated)
+    calibrator.add_gyro(samples)
+    calibrator.add_frames(frames)
+    for _ in calibrator.process():
+        pass
+    return calibrator
+
+
+def failed(calibrator):
+    """Return the names of the tests of the model that fail."""
+    return {each.name for each in calibrator.consistency.statistics() if not each.passed}

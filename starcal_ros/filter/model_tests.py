@@ -28,7 +28,7 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
 from starcal_ros.filter import hypotheses
 from starcal_ros.filter.belief import Nominal
-from starcal_ros.filter.changes import N_EFFECTS, Answer, ModelChange, Changes
+from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS, Sight
 from starcal_ros.filter.innovation_tests import (MARGIN, SCATTER, SPREAD, WINDOW, FrameInnovation,

@@ -7,17 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from instruments import TAN2018
+from instruments import TAN2018, calibrated, failed
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.statistic import ALARM
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR, NS
 from starcal_ros.filter import model_tests
-from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, largest
 from starcal_ros.filter.innovation_tests import CELLS, cell_of
 from starcal_ros.filter.model_tests import LEAST
 from starcal_ros.measurements.samples import GyroSamples
-from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
 SCENARIO = TAN2018.replace({'simulation.duration_s': 450.0, 'motion.dwell_s': 5.0,
@@ -28,21 +26,8 @@ TRUTH = Truth.from_scenario(SCENARIO)
 
 def fitted(settings=None, spoil=None):
     """Return the calibrator, and the sizes that fit, after some minutes."""
-    spoilt = SCENARIO.replace(settings or {})
-    gyro, tracker = sensors.gyro(spoilt), sensors.star_tracker(spoilt)
-    samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
-    if spoil:
-        samples, frames = spoil(samples, frames)
-    calibrator = Calibrator(SCENARIO)
-    calibrator.add_gyro(samples)
-    calibrator.add_frames(frames)
-    for _ in calibrator.process():
-        pass
+    calibrator = calibrated(SCENARIO, SCENARIO.replace(settings or {}), spoil)
     return calibrator, calibrator.consistency._responses.fit()
-
-
-def failing(calibrator):
-    return {each.name for each in calibrator.consistency.statistics() if not each.passed}
 
 
 def moved(change):
@@ -127,7 +112,7 @@ def test_an_effect_that_the_model_lacks_is_found_with_its_size(name):
     calibrator, fit = fitted(settings, spoil)
     k = [each.name for each in HYPOTHESES].index(name)
     told = 'displacement in the worst cell' if CELL.start <= k < CELL.stop else name
-    assert told in failing(calibrator)
+    assert told in failed(calibrator)
     if size is None:        # the Earth's velocity about the Sun was left out
         assert np.linalg.norm(fit.p[k]) == pytest.approx(29.3, abs=1.0)
     else:
@@ -148,12 +133,12 @@ def test_misalignments_of_the_gyros_are_found():
         GyroSamples(gyro.stamp_ns, gyro.rate @ (np.eye(3) + M).T), frames))
     k = [each.name for each in HYPOTHESES].index('gyro misalignments')
     np.testing.assert_allclose(fit.p[k], [150.0, 0.0, -60.0], atol=15.0)
-    assert 'gyro misalignments' in failing(calibrator)
+    assert 'gyro misalignments' in failed(calibrator)
 
 
 def test_of_a_right_model_each_size_is_nought_within_its_sigma():
     calibrator, fit = fitted()
-    assert failing(calibrator) == set()
+    assert failed(calibrator) == set()
     told = np.isfinite(fit.sigma[:len(HYPOTHESES)])
     ratio = (fit.p / fit.sigma)[:len(HYPOTHESES)][told]
     assert np.abs(ratio).max() < 4.5 and ratio.std() == pytest.approx(1.0, abs=0.3)
@@ -163,7 +148,7 @@ def test_an_effect_that_does_no_harm_does_not_count():
     """A time offset of 0.18 ms is told by 5 of its sigmas and shifts no state by half of one."""
     calibrator, fit = fitted({'truth.star_tracker.time_offset_s': 0.00018})
     assert fit.p[0, 0] / fit.sigma[0, 0] < -4.0
-    assert failing(calibrator) == set()
+    assert failed(calibrator) == set()
     assert model_tests.HARM < 1.0 and ALARM < 1e-3 and LEAST > 0
 
 
