@@ -12,13 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+import os
 import signal
 import sys
+
+from starcal_ros.config import middleware
 
 
 def _program(name: str) -> Callable[[], int]:
     def main() -> int:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.environ.update(middleware.profile())
         status: int = import_module(f'starcal_ros.nodes.{name}').main()
         return status
     return main

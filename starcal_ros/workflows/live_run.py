@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros.config import parameter_file
+from starcal_ros.config import middleware, parameter_file
 from starcal_ros.config.scenario import Scenario, stamp_ns
-from starcal_ros.config.shipped import config_file
 from starcal_ros.core.units import NS
 from starcal_ros.files.output import write_text
 from starcal_ros.filter.calibrator import Calibrator
@@ -117,12 +116,8 @@ def part_over(newest_ns: int, scenario: Scenario) -> float:
 
 def isolated() -> dict[str, str]:
     """Return environment variables with which nodes meet only each other, and quickly."""
-    variable = 'FASTDDS_DEFAULT_PROFILES_FILE'
-    if os.environ.get('ROS_DISTRO') in ('humble', 'jazzy'):     # these have Fast DDS 2
-        variable = 'FASTRTPS_DEFAULT_PROFILES_FILE'
     return {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),   # above 101: Linux's ephemeral ports
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-            variable: str(config_file('fastdds_fast_discovery.xml'))}
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **middleware.profile()}
 
 
 def _until_simulated(nodes: Mapping[str, subprocess.Popen[bytes]], recording: McapTail

@@ -10,9 +10,9 @@ died without a word is forgotten when its lease ends (Fast DDS: 20 s).
 
 A latched topic (results, truth) is transient local and keeps its last message: of several, who
 comes late would get the oldest first, as `ros2 topic echo --once` showed. `FlowPublisher` waits
-where it would overwrite one that a subscriber has not acknowledged. That takes 5 ms, or 3 s where
-the acknowledgement is missed; on a machine that is busy, tenths of a second: a run that is that
-much faster than real time is slowed down, for one that is overwritten is lost.
+where it would overwrite one that a subscriber has not acknowledged, for one that is overwritten
+is lost. That takes 5 ms, or where the acknowledgement is missed until it is asked for: after 3 s
+by Fast DDS's default, after 20 ms by `config/fastdds.xml`.
 
 The other side is `matched_subscription`.
 """
