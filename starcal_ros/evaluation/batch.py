@@ -61,7 +61,8 @@ class Runs:
     nees : (n, m) array
         Normalised estimation error squared, 16 + k degrees of freedom.
     nis, nis_degrees : (n,) array
-        Sums over the run: normalised innovations squared, their degrees of freedom.
+        Sums over the frames for which the linear model held: normalised innovations squared,
+        their degrees of freedom.
     attitude_rms : (n, 3) array
         RMS of phi over the second half of the run [rad].
     reprojection_rms : (n, 2) array
@@ -349,8 +350,8 @@ class _Tally:
         update, number = step.update, step.number
         if self._tests is not None:
             _test(self._tests, step)
-        self._nis += update.nis
-        self._degrees += 2.0 * update.accepted.sum(axis=-1)
+        self._nis += np.where(update.linear, update.nis, 0.0)
+        self._degrees += np.where(update.linear, 2.0 * update.accepted.sum(axis=-1), 0.0)
         if number >= self._last_minutes:
             residual = np.where(update.accepted[..., None], update.residual, 0.0)
             self._squares += np.sum(residual**2, axis=-2)

@@ -158,6 +158,13 @@ class Belief:
         """Standard deviation of theta, (..., 3): the attitude of the star tracker [rad]."""
         return SCALE[THETA] * np.linalg.norm(self.root[..., THETA, :], axis=-1)
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all that is believed is a number."""
+        now = self.nominal
+        return bool(all(np.isfinite(part).all() for part in (
+            self.root, self.error, now.C_gi, now.C_sg, now.bias, now.intrinsics, now.augmented)))
+
     def nees(self, truth: Nominal) -> Array:
         """Return the normalised estimation error squared, (...), of n degrees of freedom."""
         error = self.estimate.minus(truth) / self.nominal.augmentation.scale

@@ -86,6 +86,8 @@ class FrameResult(NamedTuple):
         Hipparcos numbers.
     nis : float
         Normalised innovation squared of all stars used, ``2 * accepted.sum()`` degrees of freedom.
+    linear : bool
+        Whether the linear model held; where not, the frame was believed less (`curvature`).
     track : AttitudeTrack
         Attitude at the gyro samples before the frame, from the frame before it, where asked for.
     """
@@ -98,6 +100,7 @@ class FrameResult(NamedTuple):
     accepted: Mask
     catalog_id: Ints
     nis: float
+    linear: bool
     track: AttitudeTrack
 
 
@@ -184,6 +187,15 @@ class Calibrator:
         steps = np.rint(np.diff(stamps_ns, prepend=before) / self._frame_period_ns) - 1
         self.counts.missing_frames += int(np.maximum(steps, 0).sum())
         self._newest_frame_ns = int(stamps_ns[-1])
+
+    def resume(self) -> None:
+        """Go on from the last good belief after an error that ended `process`.
+
+        What waited is dropped; see `_set_back`.
+        """
+        self.counts.dropped_messages += len(self._frames)
+        self._frames, self._gyro = Frames.empty(), GyroBuffer()
+        self._set_back()
 
     # Going out
 
@@ -299,19 +311,35 @@ class Calibrator:
             if start is None:
                 continue
             belief, frame = start
-            update = self.filter.update(belief, frame, judged=True)
-            if self.counts.acquisitions == acquired:
-                belief, frame, update = self._together(belief, frame, update)
-            self.consistency.meet(stamp_ns, belief.nominal, frame, update,
-                                  frames.catalog_id[rows], frames.magnitude[rows])
-            self.belief = self._answered(update.belief)
+            try:
+                update = self.filter.update(belief, frame, judged=True)
+                if self.counts.acquisitions == acquired:
+                    belief, frame, update = self._together(belief, frame, update)
+                self.consistency.meet(stamp_ns, belief.nominal, frame, update,
+                                      frames.catalog_id[rows], frames.magnitude[rows])
+                answered = self._answered(update.belief)
+            except np.linalg.LinAlgError:
+                answered = None
+            if answered is None or not answered.is_finite:
+                self._notices.once('finite', f'the frame at {stamp_ns} ns leaves nothing finite: '
+                                   'not used, what was believed before it stands')
+                self._set_back()
+                continue
+            self.belief = answered
             usable = np.isfinite(stars.sigma[rows])
             self._account(update, usable)
             yield FrameResult(stamp_ns, self.belief, frames.uv_raster[rows],
                               np.where(usable[:, None], update.residual, np.nan),
                               np.where(usable, update.chi2, np.nan), update.accepted,
-                              frames.catalog_id[rows], float(update.nis), track)
+                              frames.catalog_id[rows], float(update.nis),
+                              bool(update.linear), track)
         self._gyro.forget_before(self.stamp_ns)
+
+    def _set_back(self) -> None:
+        """Doubt all but the calibration believed so far: attitude, and tests of the model."""
+        self._rejected_in_a_row = self._patience
+        self._torn_in_a_row = 0
+        self.consistency = ModelTests(self.filter, self._scenario.estimator.gate_probability)
 
     def _integrated(self, samples: GyroSamples, cuts: Ints, about: Nominal) -> Preintegrated:
         return preintegration.preintegrate(

@@ -71,10 +71,12 @@ from starcal_ros.core.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, SQRT_HO
 from starcal_ros.filter import process_noise
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
+from starcal_ros.filter.curvature import Curvature
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
+_SEEN = [*range(THETA.start, THETA.stop), *range(LENS.start, LENS.stop)]
 _FIELD = 1.5            # a star may be predicted this far out, in halves of the detector
 
 SIGMA_ACQUIRED = 1.0 * DEG
@@ -103,6 +105,8 @@ class Update(NamedTuple):
         Measured minus predicted centroid after the update, linearised [px].
     spread : (...) array
         Largest predicted spread of a centroid that was used, in its sigmas.
+    linear : (...) bool array
+        Whether the linear model held.
     evidence : Evidence, optional
         What it said of the model, where asked for.
     """
@@ -113,6 +117,7 @@ class Update(NamedTuple):
     nis: Array
     residual: Array
     spread: Array
+    linear: Mask
     evidence: kalman.Evidence | None = None
 
 
@@ -151,6 +156,7 @@ class Filter:
         if covariance is not None:
             self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
                 covariance / np.outer(SCALE[CALIBRATED], SCALE[CALIBRATED]))
+        self._curvature = Curvature(self.detector, self.start.intrinsics)
         self._cos_field = float(np.cos(camera.field_of_view(
             self.detector, self.start.intrinsics, _FIELD).radius))
 
@@ -350,15 +356,22 @@ class Filter:
         stars : Stars
             The frame.
         gated : bool
-            Reject stars whose chi-square lies outside the gate.
+            Guard against what does not fit: reject stars whose chi-square lies outside the gate,
+            and believe the frame less for what the linear model leaves out (`curvature`; not
+            without feedback, as the paper's filter).
         judged : bool
             Give the evidence.
         """
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
         z, scale = uv - stars.uv, belief.nominal.augmentation.scale
         H_white, innovations = self.whitened(belief.nominal, H, z - _apply(H, belief.error))
-        innovation = kalman.innovate(belief.root, H_white * scale, innovations, stars.sigma)
         usable = in_view & np.isfinite(stars.sigma)
+        left_out = np.zeros_like(stars.sigma)
+        if gated and self.feedback:
+            left_out = self._left_out(belief, stars, usable)
+        # Not a bit differs where nothing is left out.
+        sigma = np.hypot(stars.sigma, left_out) if left_out.any() else stars.sigma
+        innovation = kalman.innovate(belief.root, H_white * scale, innovations, sigma)
         accepted = usable & (innovation.chi2 <= self.gate) if gated else usable
         step, root, nis = kalman.correct(belief.root, innovation, accepted)
         error = belief.error + scale * step
@@ -372,9 +385,19 @@ class Filter:
         said = None
         if judged:
             said = kalman.evidence(
-                innovation, H_white * scale / stars.sigma[..., None, None], accepted, root)
+                innovation, H_white * scale / sigma[..., None, None], accepted, root)
         return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual,
-                      spread, said)
+                      spread, np.asarray(~left_out.any(axis=-1)), said)
+
+    def _left_out(self, belief: Belief, stars: Stars, usable: Mask) -> Array:
+        nominal = belief.nominal
+        C_si, *_ = self._seen(nominal)
+        r_s = np.where(usable[..., None], stars.u_i @ np.swapaxes(C_si, -1, -2), (0.0, 0.0, 1.0))
+        root = belief.root[..., _SEEN, :] * SCALE[_SEEN, None]
+        # With feedback an error is expected only of a frame that is linearised where it fits.
+        fitted = np.any(belief.error != 0.0, axis=-1, keepdims=True)
+        return self._curvature.left_out(r_s, nominal.intrinsics, root,
+                                        np.where(usable & ~fitted, stars.sigma, np.inf))
 
 
 def _times(A: Array, x: Array) -> Array:

@@ -150,7 +150,7 @@ class ModelTests:
         variance = np.einsum('...i,...i->...', said.M, said.M)
         values = np.linalg.eigvalsh(N)
         # Stars at one place tell no roll.
-        judged = ((used > 2) & (update.spread < SPREAD)
+        judged = ((used > 2) & (update.spread < SPREAD) & update.linear
                   & (values[..., 0] > _BLIND * values[..., -1]) & np.isfinite(update.nis))
         d = np.zeros((*said.z.shape, self._responses.E.shape[-1]))
         d[..., :WIDTH * len(HYPOTHESES)] = hypotheses.direct(

@@ -265,16 +265,65 @@ def test_duplicate_and_backward_frames_are_dropped_and_counted(run, at_once):
     assert len(notices) == 1 and str(frames.stamp_ns[19]) in notices[0]
 
 
-@pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf])
-def test_gyro_samples_that_are_not_finite_are_dropped_and_counted(run, value):
+@pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf, 36.0, -1e6, 1e160, 1e308])
+def test_gyro_samples_that_no_gyro_gives_are_dropped_and_counted(run, value):
     rate = run.gyro.rate.copy()
     rate[[1000, 3000], [0, 2]] = value
     calibrator, results = calibrated(GyroSamples(run.gyro.stamp_ns, rate), run.frames)
     counts = calibrator.counts
     assert (counts.dropped_messages, counts.gyro_gaps, counts.missing_gyro) == (2, 2, 2)
-    notices = [text for text in calibrator.take_notices() if 'not finite' in text]
+    notices = [text for text in calibrator.take_notices() if 'largest_rate_deg_s' in text]
     assert len(notices) == 1 and str(run.gyro.stamp_ns[1000]) in notices[0]
     assert_right(run, results[-1])
+
+
+def test_spike_within_the_range_of_the_gyro_costs_the_attitude_for_a_while(run):
+    rate = run.gyro.rate.copy()
+    rate[3000, 1] = 34.0
+    calibrator, results = calibrated(GyroSamples(run.gyro.stamp_ns, rate), run.frames)
+    assert calibrator.counts.acquisitions == 2
+    assert_finite(calibrator)
+    assert_right(run, results[-1])
+
+
+@pytest.mark.parametrize('row', [0, 1, 60, 179])
+@pytest.mark.parametrize('fault', ['nothing finite', 'no root'])
+def test_frame_that_would_poison_the_belief_is_set_aside(run, monkeypatch, row, fault):
+    calibrator, calls = Calibrator(SCENARIO), 0
+    update = calibrator.filter.update
+
+    def poisoned(belief, stars, **options):
+        nonlocal calls
+        calls += 'judged' in options
+        if calls == row + 1 and 'judged' in options:
+            calls += 1
+            if fault == 'no root':
+                raise np.linalg.LinAlgError
+            stars = stars._replace(uv=stars.uv * np.nan)
+            return update(belief, stars, **{**options, 'gated': False})
+        return update(belief, stars, **options)
+
+    monkeypatch.setattr(calibrator.filter, 'update', poisoned)
+    results = feed(calibrator, run.gyro, run.frames)
+    assert len(results) >= 179
+    assert all(result.belief.is_finite for result in results)
+    said = [text for text in calibrator.take_notices() if 'nothing finite' in text]
+    assert len(said) == 180 - len(results)
+    assert all(np.isfinite([each.value for each in calibrator.consistency.statistics()]))
+    assert_right(run, results[-1])
+
+
+def test_calibration_goes_on_after_an_error_that_ended_it(run):
+    """What waits is lost, all that was believed is not."""
+    calibrator = Calibrator(SCENARIO)
+    before = feed(calibrator, run.gyro[:5000], run.frames[:120])[-1]
+    waiting = calibrator.waiting
+    calibrator.resume()
+    assert (calibrator.waiting, calibrator.counts.dropped_messages) == (0, waiting)
+    after = feed(calibrator, run.gyro[5000:], run.frames[120:])
+    assert calibrator.counts.frames == len(after) + 101
+    assert (after[-1].belief.sigma[3:] <= before.belief.sigma[3:]).all()
+    assert_right(run, after[-1])
 
 
 @pytest.mark.parametrize('column, value, notice', [

@@ -604,9 +604,12 @@ class Run:
     def nis(self):
         """Return the summed NIS and its degrees of freedom.
 
-        Without the first frame, which its own attitude was found from.
+        Without the first frame, which its own attitude was found from, and those for which the
+        linear model does not hold.
         """
-        return np.sum([(frame.nis, 2 * frame.accepted.sum()) for frame in self.frames[1:]], axis=0)
+        linear = [frame for frame in self.frames[1:] if frame.linear]
+        return (sum(frame.nis for frame in linear),
+                sum(2 * frame.accepted.sum() for frame in linear))
 
 
 @pytest.fixture(scope='module')
