@@ -44,9 +44,9 @@ class Peer:
         self.until(lambda: all(p.get_subscription_count() for p in (self.gyro, self.frames)))
         self.until(lambda: self.node.count_publishers('starcal/state') == 1)
 
-    def send(self, gyro, frames):
+    def send(self, gyro, frames, gyro_frame='gyro'):
         """Publish messages."""
-        for message in cdr_imu.encode_imu(gyro):
+        for message in cdr_imu.encode_imu(gyro, gyro_frame):
             self.gyro.publish(message.tobytes())
         for message in cdr_pointcloud.encode_centroids(frames):
             self.frames.publish(message)

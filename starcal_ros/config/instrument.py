@@ -47,6 +47,9 @@ class GyroConfig:
     bias_deg_h: Annotated[Floats, Spec('Bias', 'deg/h', -1e6, 1e6, 3)] = (0.0, 0.0, 0.0)
     arw_deg_sqrt_h: Annotated[float, Spec(
         'Angular random walk', 'deg/sqrt(h)', 0.0, 100.0)] = 0.001
+    largest_rate_deg_s: Annotated[float, Spec(
+        'Largest rate about an axis that the gyro can read; a reading beyond is no measurement '
+        'and is dropped', 'deg/s', 1e-3, 1e5)] = 2000.0
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import numpy as np
 from starcal_ros.config.models import detector, nominal_camera, observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
+from starcal_ros.core.units import DEG
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identification, Identifier, MirroredError
 from starcal_ros.measurements.frame_rotations import from_gyro
@@ -53,6 +54,7 @@ class FrameIdentifier:
             CameraGuess(detector(scenario.camera), camera.intrinsics, camera.covariance),
             observer(scenario.observer), scenario.star_identifier.limiting_magnitude)
         self._identifier.prepare()
+        self._largest_rate = scenario.gyro.largest_rate_deg_s * DEG
         period_ns = 1e9 / scenario.gyro.rate_hz
         self._gyro_time = Timeline[GyroSamples](period_ns, round(GYRO_KEPT_NS / period_ns))
         self._gyro = GyroBuffer()
@@ -64,7 +66,7 @@ class FrameIdentifier:
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take readings, in the order in which they arrived."""
-        for part in self._gyro_time.add(samples.take(samples.finite)):
+        for part in self._gyro_time.add(samples.take(samples.plausible(self._largest_rate))):
             self._gyro.add(part)
         while self._gyro_time.later:
             self._gyro.clear()

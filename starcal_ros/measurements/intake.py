@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gyro readings and frames as they arrive, to those that are believed, in order.
 
-What every calibration, live or offline, makes of its two topics first: readings that are not
-finite are dropped, and `timeline` tells which stamps are believed, topic by topic. Where the clock
+What every calibration, live or offline, makes of its two topics first: readings that no gyro
+gives, not finite or beyond its range, are dropped, so is the magnitude that no star has, and
+`timeline` tells which stamps are believed, topic by topic. Where the clock
 of both was set back, or that of the only topic there is, a new stretch begins. Where that of one
 topic alone was, and the other goes on past the time at which it is caught up with, what came too
 late is dropped.
@@ -11,12 +12,15 @@ late is dropped.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 from itertools import chain
 from typing import Any
 
+import numpy as np
+
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core.units import NS
+from starcal_ros.core.units import DEG, NS
 from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.timeline import NEVER_NS, Dropped, Timeline
@@ -26,6 +30,7 @@ GYRO_KEPT_NS = 3600 * 10**9
 FRAMES_KEPT = 20_000
 """Frames that are kept while no reading comes."""
 
+_FAINTEST = 40.0            # magnitude of a star that nobody has seen yet
 _ONE_SIDED_NS = 5 * 10**9   # time that one topic goes on without the other's jump
 
 
@@ -52,6 +57,7 @@ class Intake:
         self._gyro_time = Timeline[GyroSamples](
             period_ns, kept=round(GYRO_KEPT_NS / period_ns))
         self._frame_time = Timeline[Frames](1e9 / scenario.star_tracker.rate_hz, kept=FRAMES_KEPT)
+        self._largest_rate = scenario.gyro.largest_rate_deg_s * DEG
         self._notices = notices
         self._gyro: list[GyroSamples] = []
         self._frames: list[Frames] = []
@@ -59,17 +65,22 @@ class Intake:
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples, in the order in which they arrived."""
-        finite = samples.finite
-        if not finite.all():
-            self._notices.once('rate', f'gyro reading at {samples.stamp_ns[~finite][0]} ns is not '
-                               'finite: dropped')
-            self._dropped += int((~finite).sum())
-            samples = samples.take(finite)
+        plausible = samples.plausible(self._largest_rate)
+        if not plausible.all():
+            rate = ', '.join(f'{part:g}' for part in samples.rate[~plausible][0].tolist())
+            self._notices.once('rate', f'gyro reading at {samples.stamp_ns[~plausible][0]} ns is '
+                               f'{rate} rad/s, gyro.largest_rate_deg_s is '
+                               f'{self._largest_rate / DEG:g}: dropped')
+            self._dropped += int((~plausible).sum())
+            samples = samples.take(plausible)
         self._gyro += self._gyro_time.add(samples)
         self._account('gyro reading', self._gyro_time.take_dropped())
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
+        known = np.abs(frames.magnitude) <= _FAINTEST
+        if not known.all():
+            frames = replace(frames, magnitude=np.where(known, frames.magnitude, np.nan))
         self._frames += self._frame_time.add(frames)
         self._account('frame', self._frame_time.take_dropped())
 

@@ -44,10 +44,9 @@ class GyroSamples:
         """Return some of the samples, given by number or by a mask."""
         return GyroSamples(self.stamp_ns[rows], self.rate[rows])
 
-    @property
-    def finite(self) -> Mask:
-        """Which readings are numbers, (n,)."""
-        return np.asarray(np.isfinite(self.rate).all(axis=-1))
+    def plausible(self, largest_rate: float) -> Mask:
+        """Tell which readings are numbers that a gyro of this range [rad/s] gives, (n,)."""
+        return np.asarray((np.abs(self.rate) <= largest_rate).all(axis=-1))
 
     @classmethod
     def empty(cls) -> GyroSamples:

@@ -109,3 +109,15 @@ def header_stamp_ns(header: NDArray[np.void]) -> Ints:
     """Return the stamps of std_msgs/Header, (n,) ns since the epoch."""
     stamp_ns: Ints = header['sec'] * np.int64(10**9) + header['nanosec']
     return stamp_ns
+
+
+def frame_id(message: bytes) -> str | None:
+    """Return the frame_id in the header of one message, None where there is none to be read."""
+    begin = ENCAPSULATION + HEADER.itemsize
+    if len(message) < begin:
+        return None
+    header = HEADER.newbyteorder('<' if message[1] & 1 else '>')
+    length = int(np.frombuffer(message, header, 1, ENCAPSULATION)['frame_id_length'][0])
+    if not 0 < length <= len(message) - begin:
+        return None
+    return clean(message[begin:begin + length - 1].decode(errors='replace'))

@@ -31,7 +31,7 @@ class CentroidExtractor(ManagedNode):
 
     def activate(self) -> None:
         """Listen to the images, as soon as the spots have the listeners they must have."""
-        self._tally = Tally(self, 'centroids')
+        self._tally = Tally(self, 'centroids', self.faults.counts)
         self.when_heard(self.scenario.centroid_extractor.wait_for_subscribers, self._listen)
 
     def _listen(self) -> None:
@@ -46,9 +46,9 @@ class CentroidExtractor(ManagedNode):
             try:
                 self._measure(message)
             except ImageMessageError as error:
-                self._tally.fault(error.kind, f'image dropped, {error}')
+                self.faults.add(error.kind, f'image dropped, {error}')
             except ValueError as error:
-                self._tally.fault('unsuitable image', f'image dropped, unsuitable: {error}')
+                self.faults.add('unsuitable image', f'image dropped, unsuitable: {error}')
 
     def _measure(self, message: bytes) -> None:
         stamp_ns, frame_id, image = decode_image(message)

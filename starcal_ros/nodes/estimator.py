@@ -15,6 +15,8 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
+from starcal_ros.messages.cdr import frame_id
+from starcal_ros.messages.conventions import GYRO_FRAME, OPTICAL_FRAME
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.managed_node import ManagedNode
@@ -44,13 +46,14 @@ class Estimator(ManagedNode):
         self._archive = CalibrationStore(Path(self.scenario.estimator.calibration_directory)
                                          / self.get_namespace().strip('/'))
         self._enabled = True
+        self._frames_seen: dict[topics.Topic, str | None] = {}
         self._begin()
         self._results = Results(self)
         self._servers = [
-            self.create_service(Trigger, '~/save_calibration', self._save),
-            self.create_service(Trigger, '~/undo_save', self._undo),
-            self.create_service(Trigger, '~/reset', self._reset),
-            self.create_service(SetBool, '~/set_enabled', self._set_enabled)]
+            self.serve(Trigger, '~/save_calibration', self._save),
+            self.serve(Trigger, '~/undo_save', self._undo),
+            self.serve(Trigger, '~/reset', self._reset),
+            self.serve(SetBool, '~/set_enabled', self._set_enabled)]
 
     def activate(self) -> None:
         """Listen to the sensors, as soon as the results have the listeners they must have."""
@@ -72,23 +75,40 @@ class Estimator(ManagedNode):
             self.destroy_service(server)
         self._calibrator = None
 
+    def recover(self) -> None:
+        """Go on from what was believed before an error."""
+        self._calibrator.resume()
+
     # Messages
 
     def _on_gyro(self, batch: list[bytes]) -> None:
         if self._enabled:
+            self._look_at_frame(topics.IMU, batch[0], GYRO_FRAME)
             for part in decoded(batch, cdr_imu.decode_imu, self._drop):
                 self._calibrator.add_gyro(part)
             self._advance()
 
     def _on_frames(self, batch: list[bytes]) -> None:
         if self._enabled:
+            self._look_at_frame(topics.CENTROIDS, batch[0], OPTICAL_FRAME)
             for part in decoded(batch, cdr_pointcloud.decode_centroids, self._drop):
                 self._calibrator.add_frames(part)
             self._advance()
 
+    def _look_at_frame(self, topic: topics.Topic, message: bytes, expected: str) -> None:
+        found = frame_id(message)
+        if found not in (None, expected, self._frames_seen.get(topic)):
+            self._frames_seen[topic] = found
+            self.get_logger().warning(
+                f'{topic.name} has frame_id {found!r}, where {expected!r} is expected: taken for '
+                'that; the rates must be about the axes of g that mounting turns to the star '
+                'tracker' if topic is topics.IMU else
+                f'{topic.name} has frame_id {found!r}, where {expected!r} is expected: taken for '
+                'that; u must count columns to the right and v rows downwards')
+
     def _drop(self, why: str) -> None:
         self._calibrator.counts.dropped_messages += 1
-        self.get_logger().error(why)
+        self.faults.alike(why)
 
     def _advance(self) -> None:
         """Publish what the calibrator gives by now."""
@@ -115,7 +135,7 @@ class Estimator(ManagedNode):
         for text in self._start.notices:
             self.get_logger().warning(text)
 
-    def _save(self, _: Any, response: Any) -> Any:
+    def _save(self, _: Any) -> tuple[bool, str]:
         try:
             outcome = result.result(self._calibrator, {
                 'version': __version__, 'config_sha256': self.scenario.sha256,
@@ -123,31 +143,23 @@ class Estimator(ManagedNode):
                 'began_with': self._start.source or 'nominal values'}, self._progress)
             folder = self._archive.save(initial.files(outcome, self.scenario))
         except (result.CalibrationError, StoreError) as error:
-            response.success, response.message = False, str(error)
-        else:
-            response.success, response.message = True, f'saved as {folder}'
-        return response
+            return False, str(error)
+        return True, f'saved as {folder}'
 
-    def _undo(self, _: Any, response: Any) -> Any:
+    def _undo(self, _: Any) -> tuple[bool, str]:
         try:
             aside = self._archive.undo()
         except StoreError as error:
-            response.success, response.message = False, str(error)
-        else:
-            response.success, response.message = True, f'set aside as {aside}'
-        return response
+            return False, str(error)
+        return True, f'set aside as {aside}'
 
-    def _reset(self, _: Any, response: Any) -> Any:
+    def _reset(self, _: Any) -> tuple[bool, str]:
         self._begin()
-        response.success = True
-        response.message = f'started again from {self._start.source or "the nominal values"}'
-        return response
+        return True, f'started again from {self._start.source or "the nominal values"}'
 
-    def _set_enabled(self, request: Any, response: Any) -> Any:
+    def _set_enabled(self, request: Any) -> tuple[bool, str]:
         self._enabled = request.data
-        response.success = True
-        response.message = 'estimating' if request.data else 'messages are ignored'
-        return response
+        return True, 'estimating' if request.data else 'messages are ignored'
 
     def _change(self, scenario: Scenario) -> None:
         self.scenario = scenario

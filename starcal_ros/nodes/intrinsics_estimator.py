@@ -53,11 +53,11 @@ class IntrinsicsEstimator(ManagedNode):
         self._answer()
 
     def _on_gyro(self, batch: list[bytes]) -> None:
-        for part in decoded(batch, cdr_imu.decode_imu, self.get_logger().error):
+        for part in decoded(batch, cdr_imu.decode_imu, self.faults.alike):
             self._method.add_gyro(part)
 
     def _on_frames(self, batch: list[bytes]) -> None:
-        for part in decoded(batch, cdr_pointcloud.decode_centroids, self.get_logger().error):
+        for part in decoded(batch, cdr_pointcloud.decode_centroids, self.faults.alike):
             self._method.add_frames(part)
             self._dirty = True
 

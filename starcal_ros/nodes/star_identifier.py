@@ -52,7 +52,7 @@ class StarIdentifier(ManagedNode):
 
     def activate(self) -> None:
         """Listen, as soon as the numbered frames have the listeners they must have."""
-        self._tally = Tally(self, 'identification')
+        self._tally = Tally(self, 'identification', self.faults.counts)
         self.repeat(_LOOK_S, self._advance)
         self.when_heard(self.scenario.star_identifier.wait_for_subscribers, self._listen)
 
@@ -80,7 +80,7 @@ class StarIdentifier(ManagedNode):
         self._advance()
 
     def _drop(self, why: str) -> None:
-        self._tally.fault('damaged message', why)
+        self.faults.add('damaged message', why)
 
     def _advance(self) -> None:
         """Publish what need not wait for the gyro, or has waited long enough."""
@@ -95,11 +95,11 @@ class StarIdentifier(ManagedNode):
             try:
                 message = cdr_pointcloud.with_catalog_ids(message, number)
             except cdr.RecordError as error:
-                self._tally.fault('unsuitable cloud', f'message dropped: {error}')
+                self.faults.add('unsuitable cloud', f'message dropped: {error}')
                 continue
             self._stars.publish(message)
         for text in self._identifier.take_notices():
-            self._tally.fault('mirrored', text)
+            self.faults.add('mirrored', text)
         self._tally.done.update(self._identifier.take_counts())
 
 

@@ -47,14 +47,24 @@ def test_nothing_is_taken_twice(intake):
     assert intake.take_dropped() == 0 and intake.settle() is None
 
 
-def test_a_reading_that_is_no_number_is_dropped_counted_and_named():
+def test_a_reading_that_no_gyro_gives_is_dropped_counted_and_named():
     notices = Notices()
     intake, samples = Intake(SCENARIO, notices), readings(20)
-    samples.rate[7, 1], samples.rate[9] = np.nan, np.inf
+    samples.rate[7, 1], samples.rate[9], samples.rate[11, 2] = 100.0, np.inf, np.nan
+    samples.rate[13, 0] = np.radians(2000.0)
     intake.add_gyro(samples)
-    np.testing.assert_array_equal(taken(intake)[0], np.delete(samples.stamp_ns, [7, 9]))
-    assert (intake.take_dropped(), intake.take_dropped()) == (2, 0)
-    assert notices.take() == [f'gyro reading at {samples.stamp_ns[7]} ns is not finite: dropped']
+    np.testing.assert_array_equal(taken(intake)[0], np.delete(samples.stamp_ns, [7, 9, 11]))
+    assert (intake.take_dropped(), intake.take_dropped()) == (3, 0)
+    assert notices.take() == [
+        f'gyro reading at {samples.stamp_ns[7]} ns is 0, 100, 0 rad/s, '
+        'gyro.largest_rate_deg_s is 2000: dropped']
+
+
+def test_a_magnitude_that_no_star_has_is_not_known():
+    intake, magnitude = Intake(SCENARIO, Notices()), np.array([5.0, np.nan, 1e30, -np.inf])
+    intake.add_frames(Frames(frames(5).stamp_ns, np.array([0, 4, 4, 4, 4, 4]), np.zeros((4, 2)),
+                             np.ones(4), magnitude, np.ones(4, np.int64)))
+    np.testing.assert_array_equal(intake.take()[1].magnitude, [5.0, np.nan, np.nan, np.nan])
 
 
 @pytest.mark.parametrize('topic', ['gyro', 'frames'])

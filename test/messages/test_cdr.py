@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages import cdr_pointcloud
-from starcal_ros.messages.cdr import Messages, RecordError
+from starcal_ros.messages.cdr import Messages, RecordError, frame_id
 from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu, encode_imu
 from starcal_ros.messages.cdr_pointcloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
                                                  with_catalog_ids)
@@ -311,3 +311,13 @@ def test_a_field_that_can_not_hold_a_number_is_an_error():
     points = np.zeros(2, [('u', 'f8'), ('v', 'f8'), ('catalog_id', 'u2')])
     with pytest.raises(RecordError, match="'catalog_id' of a .* is uint16, too small"):
         with_catalog_ids(cloud(points), np.array([1, 2]))
+
+
+@pytest.mark.parametrize('name', ['gyro', '', 'ein_längerer_Name', '\x1b[2J'])
+@pytest.mark.parametrize('little_endian', [True, False])
+def test_frame_id_of_a_message_is_read_and_shown_as_it_stands(name, little_endian):
+    message = bytes(imu(1, np.zeros(3), name, little_endian=little_endian))
+    assert frame_id(message) == name.replace('\x1b', '\\x1b')
+    for cut in (0, 3, 15, 16):
+        assert frame_id(message[:cut]) is None
+    assert frame_id(message[:12] + b'\xff' * 4 + message[16:]) is None

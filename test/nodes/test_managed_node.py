@@ -17,6 +17,7 @@ from rclpy.duration import Duration  # noqa: E402
 from rclpy.qos import LivelinessPolicy, QoSProfile  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 import yaml  # noqa: E402
 
 from instruments import CONFIG, TAN2018  # noqa: E402
@@ -257,3 +258,59 @@ def test_error_in_a_transition_is_not_swallowed(step, error, status):
     assert errors.strip().splitlines()[-1] == (
         'error: told' if status == 2 else 'ZeroDivisionError: told')
     assert ('Traceback' in errors) == (status == 1)
+
+
+# A node that fails in whatever it is asked to do.
+FALLIBLE = """
+import sys
+from std_srvs.srv import Trigger
+from starcal_ros.messages import topics
+from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.run_loop import run
+
+
+class Fallible(ManagedNode):
+    def __init__(self):
+        super().__init__('fallible')
+        self.recovered = 0
+        self.start()
+
+    def configure(self):
+        self.serve(Trigger, '~/fail', lambda request: 1 / 0)
+        self.serve(Trigger, '~/recovered', lambda request: (True, str(self.recovered)))
+
+    def activate(self):
+        self.listen(topics.IMU, lambda batch: batch[0].nothing, at_once=1)
+        self.repeat(0.05, self.tick)
+
+    def tick(self):
+        raise LookupError('nothing there')
+
+    def recover(self):
+        self.recovered += 1
+
+
+sys.exit(run(Fallible))
+"""
+
+
+def test_error_in_a_callback_or_a_service_does_not_end_a_node(peer):
+    process = subprocess.Popen([sys.executable, '-c', FALLIBLE], text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    for _ in range(3):
+        answer = peer.call(Trigger, 'fallible/fail')
+        assert not answer.success
+        assert answer.message == 'error in the node: ZeroDivisionError: division by zero'
+    peer.until(lambda: peer.gyro.get_subscription_count() == 1)
+    before = int(peer.call(Trigger, 'fallible/recovered').message)
+    for _ in range(20):
+        peer.gyro.publish(Imu())
+    peer.until(lambda: int(peer.call(Trigger, 'fallible/recovered').message) >= before + 20)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == 0 and 'Traceback' not in said
+    for text in ('error in ~/fail, the node goes on: ZeroDivisionError',
+                 '3 times: error in ~/fail',
+                 'error in tick, the node goes on: LookupError: nothing there',
+                 "error in imu/data_raw, the node goes on: AttributeError: 'bytes' object has no"):
+        assert said.count(text) == 1, said

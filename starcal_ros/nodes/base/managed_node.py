@@ -14,6 +14,9 @@ the parameter ``autostart``, the default, a node is active as soon as it has bee
 
 An inactive node subscribes to nothing, publishes nothing and holds up nobody. What it has worked
 out stays, and what it missed shows in the stamps of what comes next.
+
+No error of a callback or a service ends a node but those that its user can mend (USER_ERRORS): it
+is said and counted (`faults`), and the node goes on.
 """
 
 from __future__ import annotations
@@ -21,11 +24,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.service import Service
 from rclpy.timer import Timer
 
 from starcal_ros.messages.topics import Topic
 from starcal_ros.nodes.base import parameters, run_loop
+from starcal_ros.nodes.base.faults import Faults
 from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
 from starcal_ros.nodes.base.matched_subscription import BATCH, MatchedSubscription
 from starcal_ros.nodes.base.qos import message_type
@@ -54,6 +60,8 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
         What it listens to while it is active; the run loop empties them.
     outputs : list of FlowPublisher
         What it publishes while it is configured.
+    faults : Faults
+        What was wrong with messages, or went wrong.
     """
 
     def __init__(self, name: str, *groups: str, **options: Any) -> None:
@@ -61,6 +69,7 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
         self.scenario = parameters.declare(self, 'autostart', *groups)
         self.inputs: list[MatchedSubscription] = []
         self.outputs: list[FlowPublisher] = []
+        self.faults = Faults(self.get_logger())
         self._running: list[Timer] = []         # while active
         self._error: Exception | None = None
         self._raising = False           # whether whoever asks for a transition hears of an error
@@ -85,6 +94,9 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
     def cleanup(self) -> None:
         """Give back what `configure` took, but the publishers."""
 
+    def recover(self) -> None:
+        """Make good what an error in a callback has left undone."""
+
     # For a subclass
 
     def offer(self, topic: Topic) -> FlowPublisher:
@@ -98,12 +110,38 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
                ) -> None:
         """Hand over the messages of a topic in CDR, at most `at_once`, until `deactivate`."""
         self.inputs.append(MatchedSubscription(
-            self, message_type(topic.type_name), topic.name, callback, latched=topic.latched,
-            raw=True, at_once=at_once))
+            self, message_type(topic.type_name), topic.name,
+            self._surviving(topic.name, callback), latched=topic.latched, raw=True,
+            at_once=at_once))
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call back again and again, until `deactivate`."""
-        self._running.append(run_loop.steady_timer(self, period_s, callback))
+        self._running.append(run_loop.steady_timer(
+            self, period_s, self._surviving(callback.__name__, callback)))
+
+    def serve(self, service_type: type, name: str, answer: Callable[[Any], tuple[bool, str]]
+              ) -> Service[Any, Any]:
+        """Return a service that answers a request with success and a sentence."""
+        def call(request: Any, response: Any) -> Any:
+            try:
+                response.success, response.message = answer(request)
+            except Exception as error:
+                self.faults.defect(name, error)
+                response.success = False
+                response.message = f'error in the node: {type(error).__name__}: {error}'
+            return response
+        return self.create_service(service_type, name, call)
+
+    def _surviving(self, where: str, callback: Callable[..., None]) -> Callable[..., None]:
+        def call(*args: Any) -> None:
+            try:
+                callback(*args)
+            except (*USER_ERRORS, ExternalShutdownException):
+                raise
+            except Exception as error:
+                self.faults.defect(where, error)
+                self.recover()
+        return call
 
     def when_heard(self, count: int, callback: Callable[[], None]) -> None:
         """Call back when each of the outputs has so many subscribers, not after `deactivate`."""
@@ -171,6 +209,7 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
         for subscription in self.inputs:
             subscription.destroy()
         self.inputs.clear()
+        self.faults.sum_up()
 
     def _cleanup(self) -> None:
         self.cleanup()

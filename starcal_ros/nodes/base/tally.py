@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node has done and what was wrong: counted, in diagnostics, and said once a kind."""
+"""What a node has done and what was wrong, in diagnostics."""
 
 from __future__ import annotations
 
@@ -24,52 +24,45 @@ class Tally:
     node : Node
     name : str
         Of the status; the namespace stands before it.
+    faults : Counter
+        What was wrong with messages, by its kind.
 
     Attributes
     ----------
     done : Counter
         What has been done, by what it is.
-    faults : Counter
-        What was wrong with messages, by its kind.
     newest_ns : int
         Stamp of the last message that was of use.
     """
 
-    def __init__(self, node: Node, name: str) -> None:
+    def __init__(self, node: Node, name: str, faults: Counter[str]) -> None:
         self._node = node
         self._prefix = f'{node.get_namespace().strip("/")}/'.lstrip('/')
-        self._name = name
+        self._name, self._faults = name, faults
         self.done: Counter[str] = Counter()
-        self.faults: Counter[str] = Counter()
         self.newest_ns = 0
         self._said: Counter[str] = Counter()
         # Depth 1: the newest counts are all that anybody wants, and nobody is waited for.
         self._publisher = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 1)
         self._timer = run_loop.steady_timer(node, _PERIOD_S, self._publish)
 
-    def fault(self, kind: str, text: str) -> None:
-        """Count what is wrong, and say it if it is the first of its kind."""
-        self.faults[kind] += 1
-        if self.faults[kind] == 1:
-            self._node.get_logger().error(f'{text}; more of this kind are counted only')
-
     def end(self) -> None:
         """Say what was done, and publish no more."""
         run_loop.end_timer(self._node, self._timer)
         self._publish()
-        counts = self.done + self.faults
+        counts = self.done + self._faults
         self._node.get_logger().info(
             ', '.join(f'{number} {what}' for what, number in counts.items()) or 'nothing came')
         self._node.destroy_publisher(self._publisher)
 
     def _publish(self) -> None:
-        fresh, self._said = self.faults - self._said, self.faults.copy()
+        fresh, self._said = self._faults - self._said, self._faults.copy()
         message = DiagnosticArray(status=[DiagnosticStatus(
             name=f'{self._prefix}starcal: {self._name}',
             level=DiagnosticStatus.ERROR if fresh else DiagnosticStatus.OK,
             message=', '.join(f'{n} {kind}' for kind, n in fresh.items()) or 'working',
             hardware_id=f'{self._prefix}star_tracker',
             values=[KeyValue(key=what, value=str(number))
-                    for what, number in [*self.done.items(), *self.faults.items()]])])
+                    for what, number in [*self.done.items(), *self._faults.items()]])])
         message.header.stamp = status_stamp(self._node, self.newest_ns)
         self._publisher.publish(message)
