@@ -14,6 +14,7 @@ import pytest
 rclpy = pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # noqa: E402
@@ -139,7 +140,10 @@ def test_one_wrong_stamp_does_not_spoil_the_log_times_and_a_new_time_is_taken(tm
 
 def test_log_time_is_the_stamp_inside_and_that_of_the_run_for_another_clock(
         start, peer, tmp_path):
-    """All is published before the recorder is awake again, so it comes in batches, by topic."""
+    """All is published before the recorder is awake again, so it comes in batches, by topic.
+
+    A process that is stopped may have to be sent a message again: acknowledged, it is there.
+    """
     path, second = tmp_path / 'run.mcap', 10**9
     recorder = start('recorder', '-p', f'recorder.output:={path}')
     state = peer.node.create_publisher(Float64MultiArray, 'starcal/state', 100)
@@ -159,6 +163,8 @@ def test_log_time_is_the_stamp_inside_and_that_of_the_run_for_another_clock(
                 stamp + shift * second, second)
             publisher.publish(message)
     recorder.send_signal(signal.SIGCONT)
+    assert all(publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+               for publisher in (state, camera, status))
     recorder.send_signal(signal.SIGINT)
     assert recorder.wait(PATIENCE_S) == 0
     log_times = {name: sorted(open_bag(path).log_times(name).tolist())
