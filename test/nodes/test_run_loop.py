@@ -60,11 +60,25 @@ def finish(process: subprocess.Popen) -> tuple[int, str, str]:
                                            flags=re.MULTILINE)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM] * 3)
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP] * 2)
 def test_signal_closes_the_node_and_ends_with_status_0(number):
     process = start()
     assert process.stdout.readline() == 'ready\n'
     process.send_signal(number)
+    assert finish(process) == (0, 'closed\n', '')
+
+
+def test_a_hangup_that_is_ignored_from_outside_stays_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)       # as `nohup` does
+    try:
+        process = start()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert process.stdout.readline() == 'ready\n'
+    process.send_signal(signal.SIGHUP)
+    time.sleep(0.3)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
     assert finish(process) == (0, 'closed\n', '')
 
 

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run nodes from their creation to a clean end: the body of every `main`.
 
-SIGINT and SIGTERM only set a flag. The loop below and all that waits (`flow_publisher`) look at
-it, so a node is never interrupted halfway: it closes its file, leaves the graph and
-exits with status 0. With rclpy's own handlers some exits, too early or too late a Ctrl-C, end
-in a traceback.
+SIGINT, SIGTERM and SIGHUP (a terminal that is closed) only set a flag. The loop below and
+all that waits (`flow_publisher`) look at it, so a node is never interrupted halfway: it closes its
+file, leaves the graph and exits with status 0. With rclpy's own handlers some exits, too early or
+too late a Ctrl-C, end in a traceback. Under `nohup`, which ignores SIGHUP, it stays ignored.
 
 A node may have
 
@@ -54,6 +54,8 @@ STATUS_OK, STATUS_USAGE = 0, 2
 USER_ERRORS = (ConfigError, ParameterException, RecordError)
 """What the user can mend: told in one line."""
 
+_ENDING = (signal.SIGINT, signal.SIGTERM, *(
+    [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN else []))
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _stop_requested_at: float | None = None
 _failure: Exception | None = None
@@ -70,7 +72,7 @@ def seconds_since_stop() -> float:
 
 
 def request_stop(*_: object) -> None:
-    """Ask the process to end, as SIGINT and SIGTERM do; once or more often is the same."""
+    """Ask the process to end, as the signals do; once or more often is the same."""
     global _stop_requested_at
     _stop_requested_at = _stop_requested_at or time.monotonic()
 
@@ -148,7 +150,7 @@ def run_together(make_nodes: Sequence[Callable[[], Node]], args: list[str] | Non
 
 
 def _on_signals(handler: Any) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _ENDING:
         signal.signal(number, handler)
 
 
