@@ -22,6 +22,7 @@ from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
 from starcal_ros.recording import reader
+from starcal_ros.recording.mcap_check import check_file
 from starcal_ros.results.attached_truth import attached_truth
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
@@ -103,6 +104,7 @@ def _image(folder: Path, name: str) -> bytes:
 
 
 def _recording(path: Path) -> None:
+    check_file(path)
     reader.summary(path)
     reader.read(path)
 

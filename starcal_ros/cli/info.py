@@ -14,13 +14,18 @@ from starcal_ros.cli.terminal import show
 from starcal_ros.files.foreign import clean, literal
 
 SUMMARY = 'tell what a recording holds'
-DESCRIPTION = 'List the topics, types, counts and rates of a recording.'
+DESCRIPTION = ('List the topics, types, counts and rates of a recording. With --check also '
+               'whether it is sound: every checksum, the definitions of its types and the counts '
+               'that it states; exit status 4 where it is not.')
+
+_FOUND = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
     arguments.add_topics(parser)
+    parser.add_argument('--check', action='store_true', help='verify all that the recording holds')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -42,6 +47,22 @@ def run(options: argparse.Namespace) -> int:
         show(f'attachment {clean(name)}, {size} bytes')
     for text in summary.warnings:
         show(f'warning: {text}')
+    return _check(Path(options.bag)) if options.check else 0
+
+
+def _check(path: Path) -> int:
+    """Tell whether a recording is sound; return the exit status."""
+    from starcal_ros.recording.check import check
+    results = check(path)
+    for name, found in results.items():
+        for text in found.faults:
+            show(f'fault: {clean(name)}: {text}')
+        if found.unchecked:
+            show(f'without checksums in {clean(name)}: {", ".join(found.unchecked)}')
+    if any(found.faults for found in results.values()):
+        return _FOUND
+    show(f'sound: {sum(found.messages for found in results.values())} messages in '
+         f'{sum(found.chunks for found in results.values())} chunks')
     return 0
 
 

@@ -24,6 +24,7 @@ from starcal_ros.files.foreign import clean
 from starcal_ros.messages.cdr import RecordError
 
 MCAP, SQLITE = 'mcap', 'sqlite3'
+METADATA = 'metadata.yaml'
 CONVERT = 'rosbags-convert --src {} --dst {}'
 
 _SUFFIXES = {'.mcap': MCAP, '.db3': SQLITE}
@@ -85,7 +86,7 @@ def find(path: Path) -> BagFiles:
 
 
 def _of_folder(path: Path) -> BagFiles:
-    metadata = path / 'metadata.yaml'
+    metadata = path / METADATA
     try:
         text = metadata.read_text() if metadata.exists() else ''
         if not text.strip():

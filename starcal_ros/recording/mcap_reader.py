@@ -32,7 +32,8 @@ from starcal_ros.recording.mcap_chunk import NO_ENTRIES, RECORD, Chunk, locate, 
 MAGIC = b'\x89MCAP0\r\n'
 
 _GROUP_BYTES = 4 << 20
-_GARBLED = (struct.error, ValueError, McapError)
+GARBLED = (struct.error, ValueError, McapError)
+"""What parsing a damaged record may raise."""
 
 
 class McapFile:
@@ -62,7 +63,7 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.data = _map(path)
+        self.data = map_file(path)
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.attachments: dict[str, bytes] = {}
@@ -145,7 +146,7 @@ class McapFile:
                 break
             try:
                 self._take(opcode, position, view[position + RECORD.size:end])
-            except _GARBLED:
+            except GARBLED:
                 self._warn(f'the record at byte {position} is garbled and left out')
             loose |= opcode == Opcode.MESSAGE
             position = end
@@ -165,19 +166,19 @@ class McapFile:
             (crc,) = struct.unpack('<I', content[-4:])
             if crc and zlib.crc32(content[:-4]) != crc:
                 raise ValueError('attachment checksum')
-            attachment = Attachment.read(_stream(content))
+            attachment = Attachment.read(stream(content))
             self.attachments[attachment.name] = attachment.data
         elif opcode == Opcode.STATISTICS:
-            self._statistics = Statistics.read(_stream(content))
+            self._statistics = Statistics.read(stream(content))
         else:
             self._declare(opcode, content)
 
     def _declare(self, opcode: int, content: bytes | memoryview) -> None:
         if opcode == Opcode.SCHEMA:
-            schema = Schema.read(_stream(content))
+            schema = Schema.read(stream(content))
             self.schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(_stream(content))
+            channel = Channel.read(stream(content))
             self.channels[channel.id] = channel
 
     def _index_all_chunks(self) -> None:
@@ -191,7 +192,7 @@ class McapFile:
                 try:
                     for opcode, content in others:
                         self._declare(opcode, content)
-                except _GARBLED:
+                except GARBLED:
                     self._warn(f'a record in the chunk at byte {chunk.offset} is garbled')
 
     def _compare_with_statistics(self) -> None:
@@ -213,8 +214,8 @@ class McapFile:
         self._warnings[clean(f'{self.path.name}: {text}')] = None
 
 
-def _map(path: Path) -> NDArray[np.uint8]:
-    """Map an MCAP file into memory."""
+def map_file(path: Path) -> NDArray[np.uint8]:
+    """Map an MCAP file into memory; RecordError where it can not be opened or is none."""
     try:
         if path.stat().st_size < len(MAGIC):
             raise RecordError(f'{path} is not an MCAP file: it has {path.stat().st_size} bytes')
@@ -227,5 +228,6 @@ def _map(path: Path) -> NDArray[np.uint8]:
     return data
 
 
-def _stream(content: bytes | memoryview) -> ReadDataStream:
+def stream(content: bytes | memoryview) -> ReadDataStream:
+    """Return a record for the `read` of its kind."""
     return ReadDataStream(BytesIO(content))

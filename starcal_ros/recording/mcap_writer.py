@@ -4,7 +4,10 @@
 
 Messages go into zstd-compressed chunks with a checksum and a message index. A chunk ends with
 the second of log time in which it began, or earlier when it is full, and is handed to the
-operating system at once: a process that is killed loses its last second, no more.
+operating system at once: a process that is killed loses its last second, no more. One that can not
+be written whole is taken back, so that the file ends with the chunk before.
+
+All that stands before the summary has a checksum of its own, and the summary another.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ import zlib
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (Attachment, AttachmentIndex, Channel, Chunk, ChunkIndex, DataEnd, Footer,
-                          Header, McapRecord, Schema, Statistics, SummaryOffset)
+                          Header, McapRecord, Metadata, MetadataIndex, Schema, Statistics,
+                          SummaryOffset)
 import numpy as np
 from numpy.typing import NDArray
 import zstandard
@@ -39,25 +43,48 @@ class McapWriter:
     Parameters
     ----------
     stream : binary file
-        Where to write, from its start; left open by `finish`.
+        Where to write, from its start, unbuffered; left open by `finish`.
     profile, library : str
         Named in the header of the file.
     """
 
     def __init__(self, stream: BinaryIO, profile: str, library: str) -> None:
         self._stream = stream
-        self._position = 0
+        self._position, self._crc = 0, 0
         self._zstd = zstandard.ZstdCompressor()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunk_indices: list[ChunkIndex] = []
         self._attachment_indices: list[AttachmentIndex] = []
+        self._metadata_indices: list[MetadataIndex] = []
         self._counts: Counter[int] = Counter()
         self._records = bytearray()
         self._index: dict[int, array[int]] = {}
         self._second: int | None = None
-        self._write(MAGIC)
-        self._write(_encode(Header(profile, library)))
+        self._write(MAGIC + _encode(Header(profile, library)))
+
+    @property
+    def n_bytes(self) -> int:
+        """Length of the file so far, without what is pending."""
+        return self._position
+
+    @property
+    def n_pending(self) -> int:
+        """Bytes that are pending, before they are compressed."""
+        return len(self._records)
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Number of messages by channel, pending ones included."""
+        return dict(self._counts)
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """First and last log time in the chunks that are written, None without any."""
+        if not self._chunk_indices:
+            return None
+        return (min(chunk.message_start_time for chunk in self._chunk_indices),
+                max(chunk.message_end_time for chunk in self._chunk_indices))
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Declare a type and return its id."""
@@ -114,13 +141,26 @@ class McapWriter:
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Attach a file, made and recorded at a time."""
         record = _encode(Attachment(time_ns, time_ns, name, media_type, data))
-        self._attachment_indices.append(AttachmentIndex(
-            self._position, len(record), time_ns, time_ns, len(data), name, media_type))
+        index = AttachmentIndex(
+            self._position, len(record), time_ns, time_ns, len(data), name, media_type)
         self._write(record)
-        self._stream.flush()
+        self._attachment_indices.append(index)
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Add a record of texts by names; of several with one name the last one holds."""
+        record = _encode(Metadata(name=name, metadata=values))
+        index = MetadataIndex(offset=self._position, length=len(record), name=name)
+        self._write(record)
+        self._metadata_indices.append(index)
 
     def finish_chunk(self) -> None:
-        """Write the messages so far to the file."""
+        """Write the messages so far to the file.
+
+        Raises
+        ------
+        OSError
+            Where there is no room: the messages are lost, and the file ends before them.
+        """
         if not self._index:
             return
         log_times = np.concatenate([np.frombuffer(entries, np.uint64)[::2]
@@ -129,31 +169,42 @@ class McapWriter:
         packed = self._zstd.compress(self._records)
         record = _encode(Chunk('zstd', packed, high, low, zlib.crc32(self._records),
                                len(self._records)))
-        offset = self._position
-        self._write(record)
-        index_offsets = {}
+        index, index_offsets = b'', {}
         for channel, entries in self._index.items():
-            index_offsets[channel] = self._position
-            self._write(struct.pack('<BQHI', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
-                                    8 * len(entries)) + entries.tobytes())
-        self._chunk_indices.append(ChunkIndex(
-            len(record), offset, 'zstd', len(packed), high,
-            self._position - offset - len(record), index_offsets, low, len(self._records)))
-        self._stream.flush()
-        self._records.clear()
-        self._index.clear()
-        self._second = None
+            index_offsets[channel] = self._position + len(record) + len(index)
+            index += struct.pack('<BQHI', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
+                                 8 * len(entries)) + entries.tobytes()
+        chunk = ChunkIndex(len(record), self._position, 'zstd', len(packed), high, len(index),
+                           index_offsets, low, len(self._records))
+        try:
+            self._write(record + index)
+            self._chunk_indices.append(chunk)
+        except OSError:
+            self._counts.subtract({channel: len(entries) // 2
+                                   for channel, entries in self._index.items()})
+            raise
+        finally:
+            self._records.clear()
+            self._index.clear()
+            self._second = None
 
     def finish(self) -> None:
-        """Write the last chunk, the summary and the end of the file."""
+        """Write the last chunk, the summary and the end of the file.
+
+        Raises
+        ------
+        OSError
+            Where there is no room; the file then ends with its last chunk that is whole.
+        """
         self.finish_chunk()
-        self._write(_encode(DataEnd(0)))
-        start = self._position
+        data_end = _encode(DataEnd(self._crc))
+        start = self._position + len(data_end)
         groups: list[tuple[Opcode, list[McapRecord]]] = [
             (Opcode.SCHEMA, [*self._schemas]), (Opcode.CHANNEL, [*self._channels]),
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.CHUNK_INDEX, [*self._chunk_indices]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indices])]
+            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indices]),
+            (Opcode.METADATA_INDEX, [*self._metadata_indices])]
         summary, offsets = b'', b''
         for opcode, records in groups:
             group = b''.join(_encode(record) for record in records)
@@ -162,8 +213,7 @@ class McapWriter:
             summary += group
         footer = _encode(Footer(start, start + len(summary), 0))[:-4]
         crc = zlib.crc32(summary + offsets + footer)
-        self._write(summary + offsets + footer + struct.pack('<I', crc) + MAGIC)
-        self._stream.flush()
+        self._write(data_end + summary + offsets + footer + struct.pack('<I', crc) + MAGIC)
 
     def _make_room(self, log_time_ns: int) -> None:
         """Begin a new chunk where the last one is full or of another second."""
@@ -186,11 +236,20 @@ class McapWriter:
             message_count=self._counts.total(),
             message_end_time=max((chunk.message_end_time for chunk in chunks), default=0),
             message_start_time=min((chunk.message_start_time for chunk in chunks), default=0),
-            metadata_count=0, schema_count=len(self._schemas))
+            metadata_count=len(self._metadata_indices), schema_count=len(self._schemas))
 
     def _write(self, data: bytes) -> None:
-        self._stream.write(data)
+        """Write records whole, or leave the file as it was and raise OSError."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._stream.write(rest):]
+        except OSError:
+            self._stream.truncate(self._position)
+            self._stream.seek(self._position)
+            raise
         self._position += len(data)
+        self._crc = zlib.crc32(data, self._crc)
 
 
 def _encode(record: McapRecord) -> bytes:

@@ -98,7 +98,7 @@ class Writer:
     def __init__(self, path: str | Path, overwrite: bool = False) -> None:
         self.path = Path(path)
         try:
-            self._stream = self.path.open('wb' if overwrite else 'xb')
+            self._stream = self.path.open('wb' if overwrite else 'xb', buffering=0)
         except FileExistsError:
             raise RecordError(f'{path} exists; choose another name or overwrite it') from None
         except OSError as error:
