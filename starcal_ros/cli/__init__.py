@@ -23,7 +23,7 @@ from starcal_ros.messages.cdr import RecordError
 from starcal_ros.workflows.live_run import NodeError
 
 COMMANDS = ('demo', 'simulate', 'calibrate', 'intrinsics', 'bootstrap', 'allan', 'montecarlo',
-            'reproduce', 'play', 'watch', 'info')
+            'reproduce', 'play', 'watch', 'info', 'recover')
 """In the order in which the usage lists them."""
 
 

@@ -27,6 +27,7 @@ MCAP, SQLITE = 'mcap', 'sqlite3'
 METADATA = 'metadata.yaml'
 CONVERT = 'rosbags-convert --src {} --dst {}'
 
+_HEAD = 16          # bytes
 _SUFFIXES = {'.mcap': MCAP, '.db3': SQLITE}
 _PACKED = '.zstd'
 _MODES = ('', 'none', 'storage', 'file', 'message')
@@ -89,7 +90,7 @@ def _of_folder(path: Path) -> BagFiles:
     metadata = path / METADATA
     try:
         text = metadata.read_text() if metadata.exists() else ''
-        if not text.strip():
+        if not text.strip('\0 \r\n'):        # a power cut may leave zeros
             return _without_metadata(path)
         info = load_yaml(text)['rosbag2_bagfile_information']
         files = [path / PurePath(name).name for name in info['relative_file_paths']]
@@ -115,6 +116,8 @@ def _of_folder(path: Path) -> BagFiles:
 def _without_metadata(path: Path) -> BagFiles:
     """Take the files of a folder for those of one recording, where their names say so."""
     files = [file for file in path.iterdir() if file.is_file() and _kind(file)]
+    empty = sorted(file.name for file in files if _is_empty(file))
+    files = [file for file in files if file.name not in empty]
     names = ', '.join(sorted(file.name for file in files))
     if not files:
         for file in path.iterdir():
@@ -131,8 +134,14 @@ def _without_metadata(path: Path) -> BagFiles:
     files = [file for _, file in sorted(zip(order, files))]
     return BagFiles(files, files, _storage(files, path), warnings=(clean(
         f'{path.name} has no metadata.yaml: its files are read in the order of their numbers: '
-        f'{", ".join(file.name for file in files)}; ros2 bag reindex {shlex.quote(str(path))} '
-        'writes one'),))
+        f'{", ".join(file.name for file in files)}; starcal recover {shlex.quote(str(path))} '
+        'writes one'), *(clean(f'{name} is empty, as after a power cut') for name in empty)))
+
+
+def _is_empty(file: Path) -> bool:
+    """Tell whether nothing of a file came to the disk: no byte, or zeros."""
+    with file.open('rb') as stream:
+        return not stream.read(_HEAD).strip(b'\0')
 
 
 def _storage(files: Sequence[Path], path: Path) -> str:

@@ -7,6 +7,7 @@ one checked; where there is no index, or a wrong one, the records of the chunk a
 
 What a killed recorder leaves behind is read as far as it goes: a missing end, or a chunk that is
 cut short or fails its checksum, costs what it held and a warning, never the rest of the file.
+Behind a record that makes no sense the next chunk is looked for.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import zlib
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Schema, Statistics
+from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +31,12 @@ from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.recording.mcap_chunk import NO_ENTRIES, RECORD, Chunk, locate, scan
 
 MAGIC = b'\x89MCAP0\r\n'
+RECOVERED = 'starcal_recovered'
+"""Metadata of a file that was recovered, with what was lost."""
 
 _GROUP_BYTES = 4 << 20
+_COMPRESSIONS = (b'\4\0\0\0zstd', b'\3\0\0\0lz4')
+_BEFORE_COMPRESSION = RECORD.size + 28      # bytes of a chunk
 GARBLED = (struct.error, ValueError, McapError)
 """What parsing a damaged record may raise."""
 
@@ -53,8 +58,18 @@ class McapFile:
     ----------
     channels, schemas : dict
         By their ids.
-    attachments : dict of bytes
-        By their names.
+    attached : list of Attachment
+        As they stand in the file.
+    metadata : dict of dict
+        Texts by their names, by the name of the record; the last one of a name.
+    header : Header or None
+        Its profile and what wrote it.
+    chunks : list of Chunk
+        In the order of the file, with their indices.
+    finished : bool
+        Whether the file has its summary and its end.
+    lost_bytes : int
+        How many bytes of its data make no sense.
     data : (n_bytes,) uint8 array
         The file, mapped into memory.
     position : int
@@ -66,14 +81,25 @@ class McapFile:
         self.data = map_file(path)
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        self.attachments: dict[str, bytes] = {}
-        self.position = 0
-        self._chunks: list[Chunk] = []
+        self.attached: list[Attachment] = []
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.header: Header | None = None
+        self.position = self.lost_bytes = 0
+        self.finished = False
+        self.chunks: list[Chunk] = []
         self._statistics: Statistics | None = None
         self._warnings: dict[str, None] = {}
+        self._next_words = dict.fromkeys(_COMPRESSIONS, 0)
         self._walk()
         self._index_all_chunks()
         self._compare_with_statistics()
+        if lost := self.metadata.get(RECOVERED, {}).get('lost'):
+            self._warn(f'when it was recovered, {lost} were left out')
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Attached files by name."""
+        return {attachment.name: attachment.data for attachment in self.attached}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -82,7 +108,7 @@ class McapFile:
 
     def log_times(self, channel: int) -> Ints:
         """Return the log times of a channel in the order of the file, (n,) ns."""
-        entries = [chunk.index.get(channel, NO_ENTRIES) for chunk in self._chunks]
+        entries = [chunk.index.get(channel, NO_ENTRIES) for chunk in self.chunks]
         return np.concatenate([NO_ENTRIES, *entries])[:, 0].astype(np.int64)
 
     def messages(self, channels: Collection[int],
@@ -100,7 +126,7 @@ class McapFile:
         """
         group: list[Chunk] = []
         raws: list[bytes | memoryview] = []
-        for chunk in self._chunks:
+        for chunk in self.chunks:
             raw = None if chunk.index.keys().isdisjoint(channels) else self._decompress(chunk)
             if raw is not None:
                 group.append(chunk)
@@ -139,11 +165,12 @@ class McapFile:
                 opcode, length = RECORD.unpack_from(view, position)
                 end = position + RECORD.size + length
             if not position < end <= len(view) or opcode == 0:
-                self._warn(f'the file breaks off at byte {position} of {len(view)}, as after a '
-                           'killed recorder; it is read as far as it goes')
-                if self._chunks:
-                    self._chunks[-1].index = {}
-                break
+                if self.chunks:
+                    self.chunks[-1].index = {}
+                position, opcode = self._resume(position), 0
+                if position == len(view):
+                    break
+                continue
             try:
                 self._take(opcode, position, view[position + RECORD.size:end])
             except GARBLED:
@@ -152,22 +179,42 @@ class McapFile:
             position = end
         if loose:
             records = view[len(MAGIC):]
-            self._chunks.append(Chunk(0, len(records), 0, '', records, {}))
+            self.chunks.append(Chunk(0, len(records), 0, '', records, {}))
+
+    def _resume(self, position: int) -> int:
+        """Return where the next chunk begins behind a record that makes no sense, or the end."""
+        n_bytes, behind = len(self.data), position + 1 + _BEFORE_COMPRESSION
+        for word, at in self._next_words.items():
+            if at < behind:             # else known from the last time
+                self._next_words[word] = _find(self.data.data, word, behind)
+        at = min(n_bytes, *(at - _BEFORE_COMPRESSION for at in self._next_words.values()))
+        if self._statistics is None:            # what follows these is no data
+            self.lost_bytes += at - position
+        self._warn(f'the file breaks off at byte {position} of {n_bytes}, as after a killed '
+                   'recorder; it is read as far as it goes' if at == n_bytes else
+                   f'bytes {position} to {at} make no sense and are left out')
+        return at
 
     def _take(self, opcode: int, position: int, content: memoryview) -> None:
         """Keep what one record of the file says."""
         if opcode == Opcode.CHUNK:
-            self._chunks.append(Chunk.parse(position, content))
-        elif opcode == Opcode.MESSAGE_INDEX and self._chunks:
+            self.chunks.append(Chunk.parse(position, content))
+        elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
             channel, length = struct.unpack_from('<HI', content)
             entries = np.frombuffer(content[6:6 + length], '<u8').reshape(-1, 2)
-            self._chunks[-1].index[channel] = entries
+            self.chunks[-1].index[channel] = entries
         elif opcode == Opcode.ATTACHMENT:
             (crc,) = struct.unpack('<I', content[-4:])
             if crc and zlib.crc32(content[:-4]) != crc:
                 raise ValueError('attachment checksum')
-            attachment = Attachment.read(stream(content))
-            self.attachments[attachment.name] = attachment.data
+            self.attached.append(Attachment.read(stream(content)))
+        elif opcode == Opcode.METADATA:
+            metadata = Metadata.read(stream(content))
+            self.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.HEADER:
+            self.header = Header.read(stream(content))
+        elif opcode == Opcode.FOOTER:
+            self.finished = self._statistics is not None
         elif opcode == Opcode.STATISTICS:
             self._statistics = Statistics.read(stream(content))
         else:
@@ -183,7 +230,7 @@ class McapFile:
 
     def _index_all_chunks(self) -> None:
         """Scan the chunks without an index, and those that alone declare their channels."""
-        for chunk in self._chunks:
+        for chunk in self.chunks:
             if chunk.index and chunk.index.keys() <= self.channels.keys():
                 continue
             raw = self._decompress(chunk)
@@ -226,6 +273,15 @@ def map_file(path: Path) -> NDArray[np.uint8]:
     if start != MAGIC:
         raise RecordError(f'{path} is not an MCAP file: it starts with {start!r}, not {MAGIC!r}')
     return data
+
+
+def _find(whole: memoryview, word: bytes, start: int) -> int:
+    """Return where a word stands in a file, read a few megabytes at a time, or behind its end."""
+    for low in range(start, len(whole), _GROUP_BYTES):
+        at = whole[low:low + _GROUP_BYTES + len(word) - 1].tobytes().find(word)
+        if at >= 0:
+            return low + at
+    return len(whole) + _BEFORE_COMPRESSION
 
 
 def stream(content: bytes | memoryview) -> ReadDataStream:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import Iterable, Mapping
 import struct
 from typing import BinaryIO
 import zlib
@@ -74,9 +75,14 @@ class McapWriter:
         return len(self._records)
 
     @property
-    def counts(self) -> dict[int, int]:
+    def n_chunks(self) -> int:
+        """Number of chunks that are written."""
+        return len(self._chunk_indices)
+
+    @property
+    def counts(self) -> Counter[int]:
         """Number of messages by channel, pending ones included."""
-        return dict(self._counts)
+        return self._counts.copy()
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
@@ -99,6 +105,30 @@ class McapWriter:
             Channel(len(self._channels) + 1, topic, encoding, metadata, schema_id))
         self._records += _encode(self._channels[-1])
         return self._channels[-1].id
+
+    def declare(self, schemas: Iterable[Schema], channels: Iterable[Channel]) -> None:
+        """Declare types and topics of another file, with their ids, before its chunks."""
+        self._schemas += schemas
+        self._channels += channels
+        self._write(b''.join(map(_encode, [*self._schemas, *self._channels])))
+
+    def add_chunk(self, raw: bytes | memoryview, packed: bytes | memoryview, compression: str,
+                  index: Mapping[int, NDArray[np.uint64]]) -> None:
+        """Write a chunk of another file as it is, all topics of which are declared.
+
+        Parameters
+        ----------
+        raw, packed : bytes
+            Its records, and the same compressed.
+        compression : str
+            '', 'lz4' or 'zstd'.
+        index : dict of (n, 2) array
+            By channel: the log time and the place of each message.
+        """
+        self.finish_chunk()
+        self._write_chunk(raw, packed, compression, {
+            channel: entries.tobytes() for channel, entries in index.items() if len(entries)})
+        self._counts.update({channel: len(entries) for channel, entries in index.items()})
 
     def add_message(self, channel: int, log_time_ns: int, publish_time_ns: int,
                     data: bytes | memoryview) -> None:
@@ -163,22 +193,9 @@ class McapWriter:
         """
         if not self._index:
             return
-        log_times = np.concatenate([np.frombuffer(entries, np.uint64)[::2]
-                                    for entries in self._index.values()])
-        low, high = int(log_times.min()), int(log_times.max())
-        packed = self._zstd.compress(self._records)
-        record = _encode(Chunk('zstd', packed, high, low, zlib.crc32(self._records),
-                               len(self._records)))
-        index, index_offsets = b'', {}
-        for channel, entries in self._index.items():
-            index_offsets[channel] = self._position + len(record) + len(index)
-            index += struct.pack('<BQHI', Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel,
-                                 8 * len(entries)) + entries.tobytes()
-        chunk = ChunkIndex(len(record), self._position, 'zstd', len(packed), high, len(index),
-                           index_offsets, low, len(self._records))
         try:
-            self._write(record + index)
-            self._chunk_indices.append(chunk)
+            self._write_chunk(self._records, self._zstd.compress(self._records), 'zstd', {
+                channel: entries.tobytes() for channel, entries in self._index.items()})
         except OSError:
             self._counts.subtract({channel: len(entries) // 2
                                    for channel, entries in self._index.items()})
@@ -187,6 +204,21 @@ class McapWriter:
             self._records.clear()
             self._index.clear()
             self._second = None
+
+    def _write_chunk(self, raw: bytes | bytearray | memoryview, packed: bytes | memoryview,
+                     compression: str, index: Mapping[int, bytes]) -> None:
+        log_times = np.frombuffer(b''.join(index.values()), np.uint64)[::2]
+        low, high = int(log_times.min()), int(log_times.max())
+        record = _encode(Chunk(compression, bytes(packed), high, low, zlib.crc32(raw), len(raw)))
+        after, offsets = b'', {}
+        for channel, entries in index.items():
+            offsets[channel] = self._position + len(record) + len(after)
+            after += struct.pack('<BQHI', Opcode.MESSAGE_INDEX, 6 + len(entries), channel,
+                                 len(entries)) + entries
+        chunk = ChunkIndex(len(record), self._position, compression, len(packed), high,
+                           len(after), offsets, low, len(raw))
+        self._write(record + after)
+        self._chunk_indices.append(chunk)
 
     def finish(self) -> None:
         """Write the last chunk, the summary and the end of the file.

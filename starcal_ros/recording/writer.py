@@ -8,6 +8,7 @@ the QoS its publisher offers, so that ``ros2 bag play``, rosbags and Foxglove ne
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -26,6 +27,8 @@ from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
+from starcal_ros.recording import bag_metadata
+from starcal_ros.recording.bag_metadata import Offer, Part
 from starcal_ros.recording.mcap_writer import CHUNK_NS, McapWriter
 from starcal_ros.recording.qos import Qos
 
@@ -93,6 +96,11 @@ class Writer:
     ------
     RecordError
         If the file exists and is not to be overwritten, or cannot be made.
+
+    Attributes
+    ----------
+    custom : dict of str
+        Texts for the metadata, by name.
     """
 
     def __init__(self, path: str | Path, overwrite: bool = False) -> None:
@@ -103,9 +111,11 @@ class Writer:
             raise RecordError(f'{path} exists; choose another name or overwrite it') from None
         except OSError as error:
             raise RecordError(f'{path} cannot be written: {error.strerror}') from error
-        self._mcap = McapWriter(self._stream, 'ros2', f'starcal_ros {_version()}')
+        self._mcap = McapWriter(self._stream, 'ros2', library())
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}
+        self._offers: dict[int, Offer] = {}
+        self.custom: dict[str, str] = {}
 
     def __enter__(self) -> Writer:
         return self
@@ -162,6 +172,17 @@ class Writer:
                 for time_ns, message in zip(log_time[low:high].tolist(), messages):
                     self._mcap.add_message(channel, time_ns, time_ns, message)
 
+    @property
+    def offers(self) -> Counter[Offer]:
+        """Number of messages of each topic."""
+        counts = self._mcap.counts
+        return Counter({offer: counts[channel] for channel, offer in self._offers.items()})
+
+    @property
+    def part(self) -> Part:
+        """What the metadata say of the file, without what is pending."""
+        return Part(self.path.name, self._mcap.span_ns, self._mcap.counts.total())
+
     def attach(self, name: str, data: bytes, media_type: str) -> None:
         """Attach a file, such as the configuration."""
         self._mcap.add_attachment(name, media_type, data, time.time_ns())
@@ -174,6 +195,10 @@ class Writer:
         """Write what is pending and the summary; more calls do nothing."""
         if not self._stream.closed:
             with self._stream:
+                self.flush()
+                self._mcap.add_metadata(bag_metadata.RECORD, {
+                    bag_metadata.KEY: bag_metadata.dump(bag_metadata.information(
+                        [self.part], self.offers, self.custom))})
                 self._mcap.finish()
 
     def _channel(self, topic: str, type_name: str, qos: tuple[Qos, ...]) -> int:
@@ -182,10 +207,12 @@ class Writer:
             if type_name not in self._schemas:
                 self._schemas[type_name] = self._mcap.add_schema(
                     type_name, 'ros2msg', _definition(type_name).encode())
-            self._channels[topic] = self._mcap.add_channel(
-                topic, 'cdr', self._schemas[type_name],
-                {'offered_qos_profiles': '\n'.join(offer.profile for offer in qos),
-                 'topic_type_hash': typestore().hash_rihs01(type_name)}), type_name
+            profiles = '\n'.join(offer.profile for offer in qos)
+            type_hash = typestore().hash_rihs01(type_name)
+            channel = self._mcap.add_channel(topic, 'cdr', self._schemas[type_name], {
+                'offered_qos_profiles': profiles, 'topic_type_hash': type_hash})
+            self._channels[topic] = channel, type_name
+            self._offers[channel] = Offer(topic, type_name, 'cdr', profiles, type_hash)
         channel, declared = self._channels[topic]
         if declared != type_name:
             raise RecordError(f'{topic} is of type {declared}, not {type_name}')
@@ -198,8 +225,9 @@ def _definition(type_name: str) -> str:
     return typestore().generate_msgdef(type_name, ros_version=2)[0]
 
 
-def _version() -> str:
+def library() -> str:
+    """Return what a file names as its writer."""
     try:
-        return version('starcal_ros')
+        return f'starcal_ros {version("starcal_ros")}'
     except PackageNotFoundError:
-        return '(not installed)'
+        return 'starcal_ros (not installed)'

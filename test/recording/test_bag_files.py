@@ -74,7 +74,7 @@ def test_a_split_recording_without_metadata_is_read_in_the_order_of_its_numbers(
     assert_holds_all(recording, recording.warnings)
     warning, = recording.warnings
     assert ', '.join(names) in warning
-    assert f'ros2 bag reindex {path}' in warning
+    assert f'starcal recover {path}' in warning
     assert main(['info', str(path)]) == 0
 
 

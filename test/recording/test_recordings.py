@@ -149,7 +149,7 @@ def test_every_checksum_and_the_summary_offsets_are_right(tmp_path):
     with write(tmp_path / 'run.mcap').open('rb') as stream:
         records = list(StreamReader(stream, validate_crcs=True, emit_chunks=False).records)
     offsets = [record for record in records if type(record).__name__ == 'SummaryOffset']
-    assert [record.group_opcode for record in offsets] == [3, 4, 0x0B, 8, 0x0A]
+    assert [record.group_opcode for record in offsets] == [3, 4, 0x0B, 8, 0x0A, 0x0D]
 
 
 def test_rosbags_reads_what_is_written(tmp_path):
