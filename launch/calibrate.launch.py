@@ -79,5 +79,5 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'autostart', description='Whether the nodes configure and activate themselves',
             default_value='true'),
-        *nodes, end_in_turn([], nodes),
+        *nodes, end_in_turn([], nodes, spare=nodes[-1]),
     ])

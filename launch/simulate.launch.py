@@ -78,5 +78,6 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'linger', default_value='false',
             description='Whether the nodes stay when the run is over'),
-        *others, *sources, end_in_turn(sources, others, LaunchConfiguration('linger')),
+        *others, *sources,
+        end_in_turn(sources, others, LaunchConfiguration('linger'), spare=others[-1]),
     ])

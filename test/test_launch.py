@@ -246,3 +246,20 @@ def test_node_that_fails_ends_the_launch_with_an_error(entities, monkeypatch):
         with pytest.raises(RuntimeError, match=f'{name} ended with status 2'):
             at_end(Event(node, 2), Context('true'))
     assert asked(at_end(Event(nodes['estimator']), Context('true'))) == 'all'
+
+
+def test_the_others_go_on_where_the_recorder_has_failed_and_the_launch_tells_in_the_end(
+        entities, monkeypatch):
+    nodes, at_end = begun(entities, monkeypatch)
+    if 'recorder' not in nodes:
+        assert at_end.spare is None
+        return
+    assert at_end(Event(nodes['recorder'], 1), Context('false')) == []
+    if not at_end.sources:              # a launch that ends when it is asked to
+        return
+    last = None
+    for source in at_end.sources:
+        last = asked(at_end(Event(source), Context('false')))
+    assert last == 'estimator'
+    with pytest.raises(RuntimeError, match='recorder ended with status 1'):
+        at_end(Event(nodes['estimator']), Context('false'))

@@ -36,9 +36,14 @@ class StarIdentifierConfig:
 class RecorderConfig:
     """The recorder node."""
 
-    output: Annotated[str, Spec('File to write; must not exist')] = 'run.mcap'
+    output: Annotated[str, Spec(
+        'File to write, or directory where the recording is split; must not exist')] = 'run.mcap'
     topics: Annotated[Strings, Spec(
         'Topics to record; empty is all topics of the suite')] = ()
+    max_bagfile_size: Annotated[int, Spec(
+        'Length at which another file begins, as rosbag2 does; 0 is never', 'B', 0, 2**53)] = 0
+    max_bagfile_duration: Annotated[int, Spec(
+        'Time of the recording after which another file begins; 0 is never', 's', 0, 10**9)] = 0
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from starcal_ros.core.arrays import Ints
 from starcal_ros.files.foreign import clean
 from starcal_ros.messages.cdr import Messages, RecordError
+from starcal_ros.recording import losses
 from starcal_ros.recording.mcap_chunk import NO_ENTRIES, RECORD, Chunk, locate, scan
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -93,6 +94,8 @@ class McapFile:
         self._walk()
         self._index_all_chunks()
         self._compare_with_statistics()
+        for text in losses.texts(self.metadata.get(losses.LOSSES, {})):
+            self._warn(text)
         if lost := self.metadata.get(RECOVERED, {}).get('lost'):
             self._warn(f'when it was recovered, {lost} were left out')
 

@@ -70,11 +70,6 @@ class McapWriter:
         return self._position
 
     @property
-    def n_pending(self) -> int:
-        """Bytes that are pending, before they are compressed."""
-        return len(self._records)
-
-    @property
     def n_chunks(self) -> int:
         """Number of chunks that are written."""
         return len(self._chunk_indices)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+import os
 from pathlib import Path
 import time
 from types import TracebackType
@@ -182,6 +183,29 @@ class Writer:
     def part(self) -> Part:
         """What the metadata say of the file, without what is pending."""
         return Part(self.path.name, self._mcap.span_ns, self._mcap.counts.total())
+
+    @property
+    def n_bytes(self) -> int:
+        """Length of the file, without what is pending."""
+        return self._mcap.n_bytes
+
+    @property
+    def n_chunks(self) -> int:
+        """Number of chunks in the file."""
+        return self._mcap.n_chunks
+
+    @property
+    def is_removed(self) -> bool:
+        """Tell whether the file has no name any more, so that nobody can ever read it."""
+        return os.fstat(self.fileno()).st_nlink == 0
+
+    def fileno(self) -> int:
+        """Return the descriptor of the file."""
+        return self._stream.fileno()
+
+    def note(self, name: str, values: dict[str, str]) -> None:
+        """Add texts by names; of several of one name the last ones hold."""
+        self._mcap.add_metadata(name, values)
 
     def attach(self, name: str, data: bytes, media_type: str) -> None:
         """Attach a file, such as the configuration."""

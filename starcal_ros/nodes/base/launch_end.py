@@ -15,6 +15,8 @@ from collections.abc import Sequence
 import signal
 from typing import Any
 
+STATUS_FAILED = 1       # of a node that could not go on; see `run_loop`
+
 
 class Ending:
     """Answers to the end of each node.
@@ -27,10 +29,14 @@ class Ending:
         The other nodes, each before those that it speaks to.
     linger : LaunchConfiguration, optional
         Whether these stay when the run is over.
+    spare : Node, optional
+        One of the others that may fail while these go on.
     """
 
-    def __init__(self, sources: Sequence[Any], others: Sequence[Any], linger: Any = None) -> None:
-        self.sources, self.others, self.linger = sources, others, linger
+    def __init__(self, sources: Sequence[Any], others: Sequence[Any], linger: Any = None,
+                 spare: Any = None) -> None:
+        self.sources, self.others, self.linger, self.spare = sources, others, linger, spare
+        self._failed = ''
         self._ended: list[Any] = []
         self._over = False
 
@@ -43,8 +49,12 @@ class Ending:
             return []
         name = event.process_name
         if event.returncode != 0:
-            raise RuntimeError(f'{name} ended with status {event.returncode}')
+            self._failed = f'{name} ended with status {event.returncode}'
+            if event.action is not self.spare or event.returncode != STATUS_FAILED:
+                raise RuntimeError(self._failed)
         self._ended.append(event.action)
+        if event.action is self.spare and self._failed and not self._over:
+            return []
         if event.action in self.others and not self._over:
             return [Shutdown(reason=f'{name} ended')]
         if not self.sources or not all(each in self._ended for each in self.sources):
@@ -56,12 +66,14 @@ class Ending:
             if node.process_details is not None and node not in self._ended:
                 return [EmitEvent(event=SignalProcess(
                     signal_number=signal.SIGINT, process_matcher=matches_action(node)))]
+        if self._failed:
+            raise RuntimeError(self._failed)
         return [Shutdown(reason='the run is over')]
 
 
-def end_in_turn(sources: Sequence[Any], others: Sequence[Any], linger: Any = None
-                ) -> Any:
+def end_in_turn(sources: Sequence[Any], others: Sequence[Any], linger: Any = None,
+                spare: Any = None) -> Any:
     """Return the action for a launch description; see `Ending`."""
     from launch.actions import RegisterEventHandler
     from launch.event_handlers import OnProcessExit
-    return RegisterEventHandler(OnProcessExit(on_exit=Ending(sources, others, linger)))
+    return RegisterEventHandler(OnProcessExit(on_exit=Ending(sources, others, linger, spare)))

@@ -11,6 +11,8 @@ A node may have
 
 * ``finished``: true when it has nothing left to do; it is then destroyed, and when none is left
   the process ends;
+* ``failed``: true when it could not do what it is there for, and has said so; the others go on,
+  and the process ends with status 1;
 * ``close()``: called once before it is destroyed, whatever ended it;
 * ``inputs``: subscriptions (`MatchedSubscription`) that the loop empties itself. The executor
   builds a set of all that it waits for, twice a message, which takes longer than the message does;
@@ -49,7 +51,7 @@ from starcal_ros.nodes.base import command_line
 _LOOK_S = 0.005                 # between looks at the inputs where nothing comes
 _CALLBACKS = 4                  # of the executor, between two stretches with the inputs
 SPIN_S = 0.1                    # longest time until a signal is seen
-STATUS_OK, STATUS_USAGE = 0, 2
+STATUS_OK, STATUS_FAILED, STATUS_USAGE = 0, 1, 2
 
 USER_ERRORS = (ConfigError, ParameterException, RecordError)
 """What the user can mend: told in one line."""
@@ -133,20 +135,22 @@ def run_together(make_nodes: Sequence[Callable[[], Node]], args: list[str] | Non
     Returns
     -------
     status : int
-        0 after a signal or when the nodes are finished; 2 where a parameter or a recording is at
-        fault, which is told in one line on stderr. Other exceptions are not caught.
+        0 after a signal or when the nodes are finished; 1 where one of them has failed; 2 where a
+        parameter or a recording is at fault, which is told in one line on stderr. Other exceptions
+        are not caught.
     """
     _on_signals(request_stop)
     try:
         _initialize(args)
-        _serve(make_nodes)
+        made: list[Node] = []
+        _serve(make_nodes, made)
     except USER_ERRORS as error:
         print(f'error: {" ".join(str(error).split())}', file=sys.stderr)
         return STATUS_USAGE
     finally:
         rclpy.try_shutdown()
         _on_signals(signal.SIG_IGN)     # while Python itself ends, it would use its own handlers
-    return STATUS_OK
+    return STATUS_FAILED if any(getattr(node, 'failed', False) for node in made) else STATUS_OK
 
 
 def _on_signals(handler: Any) -> None:
@@ -162,7 +166,8 @@ def _initialize(args: list[str] | None) -> None:
         raise ConfigError(f'ROS arguments: {reason}') from None
 
 
-def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
+def _serve(make_nodes: Sequence[Callable[[], Node]], made: list[Node]) -> None:
+    """Serve nodes to their end; those that are made are added to a list."""
     executor, nodes = SingleThreadedExecutor(), []
     with ExitStack() as at_the_end:             # the last of these is called first
         at_the_end.callback(executor.shutdown)
@@ -170,6 +175,7 @@ def _serve(make_nodes: Sequence[Callable[[], Node]]) -> None:
         for make_node in make_nodes:
             nodes.append(make_node())
             executor.add_node(nodes[-1])
+            made.append(nodes[-1])
         try:
             while nodes and not stop_requested():
                 _turn(executor, nodes)

@@ -1,0 +1,96 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One topic that the recorder records: its log times, what is pending, what is missing."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from starcal_ros.nodes.base.stamps import FAR_NS
+from starcal_ros.recording.losses import StampGaps
+from starcal_ros.recording.qos import Qos
+from starcal_ros.recording.writer import Batch
+
+LATEST = 100                    # latched messages of a publisher that are told from new ones
+
+
+@dataclass
+class Channel:
+    """One recorded topic and its messages since the last flush."""
+
+    name: str
+    type_name: str
+    latched: bool
+    stamp_ns: Callable[[bytes], int | None]     # of a message
+    of_ros: bool            # its stamps are ROS time, not those of the sensors
+    source: str             # topics of one source run by one clock
+    qos: tuple[Qos, ...] = ()
+    newest_ns: int = 0
+    is_ahead: bool = False          # the last stamp, far, and not believed
+    log_times_ns: list[int | None] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
+    count: int = 0
+    lost_by_middleware: int = 0     # up to a pause
+    gaps: StampGaps = field(default_factory=lambda: StampGaps(FAR_NS * 1e-9))
+    latest: deque[bytes] = field(default_factory=lambda: deque(maxlen=LATEST))
+    known: set[bytes] = field(default_factory=set)      # latched, and recorded before a pause
+
+    def take(self, batch: list[bytes], newest_ns: int | None) -> int | None:
+        """Keep messages until the next flush.
+
+        Parameters
+        ----------
+        batch : list of bytes
+        newest_ns : int or None
+            Newest log time of the source, None for none so far.
+
+        Returns
+        -------
+        newest_ns : int or None
+            The same, after them.
+        """
+        if self.known:          # a latched message comes once more to who subscribes again
+            batch, given = [message for message in batch if message not in self.known], batch
+            self.known.difference_update(given)
+        stamps = []
+        for stamp_ns in map(self.stamp_ns, batch):
+            if self.of_ros or stamp_ns is None:
+                log_time = None if newest_ns is None else near(stamp_ns, newest_ns)
+            else:
+                log_time = self._log_time_ns(stamp_ns)
+                newest_ns = max(newest_ns or 0, log_time)
+                stamps.append(log_time)
+            self.log_times_ns.append(log_time)
+        if stamps:
+            self.gaps.add(stamps)
+        self.messages += batch
+        self.latest.extend(batch[-LATEST:])
+        self.count += len(batch)
+        return newest_ns
+
+    def pending(self, first_ns: int | None) -> Batch:
+        """Hand over the messages since the last flush; those without a time get the first."""
+        log_time = [near(self.stamp_ns(message), first_ns) if t is None else t
+                    for t, message in zip(self.log_times_ns, self.messages)]
+        batch = Batch(self.name, self.type_name, np.array(log_time, np.int64), self.messages,
+                      self.qos)
+        self.messages, self.log_times_ns = [], []
+        return batch
+
+    def _log_time_ns(self, stamp_ns: int) -> int:
+        """Return the log time of the next message."""
+        far = self.newest_ns > 0 and stamp_ns > self.newest_ns + FAR_NS
+        if not far or self.is_ahead:
+            self.newest_ns = max(self.newest_ns, stamp_ns)
+        self.is_ahead = far and not self.is_ahead
+        return self.newest_ns
+
+
+def near(stamp_ns: int | None, newest_ns: int) -> int:
+    """Return a stamp, or that of the run where there is none or it is of another clock."""
+    far = stamp_ns is None or abs(stamp_ns - newest_ns) > FAR_NS
+    return newest_ns if far else stamp_ns
