@@ -4,7 +4,8 @@
 
 A sub-command is a module of this package with ``SUMMARY``, ``DESCRIPTION``,
 ``add_arguments(parser)`` and ``run(options)``, which returns the exit status: 0 done, 1 no result,
-2 wrong input; of a calibration also 3 and 4, see `terminal.STATUS`. What takes long to import is
+2 wrong input; of a calibration also 3 and 4, see `terminal.STATUS`; 4 of a check that has found
+something. What takes long to import is
 imported by ``run``.
 """
 
@@ -55,8 +56,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         prog='starcal', description='Calibrate a star tracker and three gyros from the stars '
         'they see: principal point, focal length, distortion, gyro bias, mounting and attitude.',
         epilog='Exit status: 0 done; 3 the result is written, but not yet inside the tolerances; '
-               '4 the result is written, but the data contradict the model; 1 no result; 2 wrong '
-               'input. For one command: starcal COMMAND --help')
+               '4 the result is written, but the data contradict the model, or a check has found '
+               'something; 1 no result; 2 wrong input. For one command: starcal COMMAND --help')
     parser.add_argument('--version', action='version',
                         version=f'starcal_ros {starcal_ros.__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import show
+from starcal_ros.config.parameter import ConfigError
 from starcal_ros.files.foreign import clean
 
 SUMMARY = 'finish a recording whose recorder was killed'
@@ -32,8 +33,11 @@ def run(options: argparse.Namespace) -> int:
     bag, out = Path(options.bag), Path(options.out) if options.out else None
     if out is not None and not bag.is_dir():
         outputs.claim([out], [bag], options.overwrite)
-    from starcal_ros.recording.recover import recover
-    results = recover(bag, out, options.overwrite)
+    from starcal_ros.recording.recover import OutputExists, recover
+    try:
+        results = recover(bag, out, options.overwrite)
+    except OutputExists as error:
+        raise ConfigError(str(error)) from None
     if options.json:
         print(json.dumps({'recording': str(bag), 'out': str(out or bag), 'files': [
             {'name': each.name, 'sound': each.sound, 'chunks': each.chunks,

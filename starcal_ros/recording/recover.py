@@ -19,7 +19,7 @@ import shutil
 
 import numpy as np
 
-from starcal_ros.files.output import OutputError, draft_beside, whole, write_text
+from starcal_ros.files.output import OutputError, draft_beside, same, whole, write_text
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.recording import bag_metadata
 from starcal_ros.recording.bag_files import MCAP, METADATA, find
@@ -32,6 +32,10 @@ from starcal_ros.recording.writer import library
 
 ORIGINAL = '.orig'
 """What is appended to the name of a file that was recovered in its place."""
+
+
+class OutputExists(OutputError):
+    """Something is in the way that may not be replaced; one line."""
 
 
 class RecoveryError(ValueError):
@@ -95,8 +99,10 @@ def recover(path: Path, out: Path | None = None, overwrite: bool = False
         If there is no recording at the path, or one that is not of MCAP.
     RecoveryError
         If no message of it can be recovered.
+    OutputExists
+        If something is in the way.
     OutputError
-        If something is in the way, or can not be written.
+        If something can not be written.
     """
     found = find(path)
     if found.storage != MCAP:
@@ -117,14 +123,15 @@ def recover(path: Path, out: Path | None = None, overwrite: bool = False
 
 def _folder(files: Sequence[Path], out: Path, overwrite: bool) -> tuple[Recovered, ...]:
     """Write a directory, whole or not at all."""
-    if out.exists() and not overwrite:
-        raise OutputError(f'{out} exists; choose another name or overwrite it')
+    if out.exists() and not (overwrite and _is_other_recording(out, files)):
+        raise OutputExists(f'{out} exists; choose another name' + (
+            ', it is read or no recording alone' if overwrite else ' or overwrite it'))
     draft = draft_beside(out)
     try:
         draft.mkdir()
         results = tuple(_one(file, draft / file.name, False) for file in files)
         write_text(draft / METADATA, _metadata([draft / file.name for file in files]))
-        if out.is_dir():
+        if out.exists():
             shutil.rmtree(out)
         draft.replace(out)
     except OSError as error:
@@ -132,6 +139,13 @@ def _folder(files: Sequence[Path], out: Path, overwrite: bool) -> tuple[Recovere
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return results
+
+
+def _is_other_recording(out: Path, files: Sequence[Path]) -> bool:
+    """Tell whether a directory holds files of a recording, none of those given, and no more."""
+    return out.is_dir() and all(
+        each.is_file() and (each.suffix == '.mcap' or each.name == METADATA)
+        and not any(same(each, file) for file in files) for each in out.iterdir())
 
 
 def _one(path: Path, out: Path | None, overwrite: bool) -> Recovered:
@@ -144,8 +158,8 @@ def _one(path: Path, out: Path | None, overwrite: bool) -> Recovered:
         return Recovered(path.name, True, found.chunks, found.messages)
     original = path.with_name(path.name + ORIGINAL)
     if out is None and original.exists() and not overwrite:
-        raise OutputError(f'{original} exists, and would be replaced by what {path.name} is now; '
-                          'move it away or overwrite it')
+        raise OutputExists(f'{original} exists, and would be replaced by what {path.name} is now; '
+                           'move it away or overwrite it')
     with whole(out or path, overwrite or out is None) as draft:
         result = _write(source, draft)
         if not result.messages:

@@ -158,9 +158,24 @@ def test_nothing_in_the_way_is_replaced_without_being_told_to(tmp_path, capsys):
     assert main(['recover', str(path), '--out', str(path), '--overwrite']) == 2
     assert out.read_text() == 'mine'
     (tmp_path / 'run.mcap.orig').write_text('mine, too')
-    assert main(['recover', str(path)]) == 1
+    assert main(['recover', str(path)]) == 2
     assert 'run.mcap.orig exists' in capsys.readouterr().err
     assert (tmp_path / 'run.mcap.orig').read_text() == 'mine, too'
+
+
+def test_a_directory_replaces_a_recording_alone_and_not_itself(tmp_path, capsys):
+    path, out = directory(tmp_path / 'bag'), tmp_path / 'out'
+    names = sorted(each.name for each in path.iterdir())
+    for target in (path, tmp_path):
+        assert main(['recover', str(path), '--out', str(target), '--overwrite']) == 2
+        assert f'{target} exists' in capsys.readouterr().err
+    assert sorted(each.name for each in path.iterdir()) == names
+    assert main(['recover', str(path), '--out', str(out)]) == 0
+    assert main(['recover', str(path), '--out', str(out)]) == 2
+    assert main(['recover', str(path), '--out', str(out), '--overwrite']) == 0
+    (out / 'mine.txt').write_text('mine')
+    assert main(['recover', str(path), '--out', str(out), '--overwrite']) == 2
+    assert sorted(each.name for each in tmp_path.iterdir()) == ['bag', 'out']
 
 
 @pytest.mark.parametrize('content, status', [(b'\x89MCAP0\r\n', 1), (b'no recording', 2)])
