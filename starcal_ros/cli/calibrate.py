@@ -65,6 +65,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     """Calibrate a recording, write the result, print its table and return the final state."""
     from starcal_ros import report
     from starcal_ros.filter import verdict
+    from starcal_ros.filter.noise_levels import said_aloud
     from starcal_ros.filter.offline import calibrate
     from starcal_ros.filter.progress import Progress
     from starcal_ros.recording import reader
@@ -80,7 +81,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     with progress('calibrating') as on_progress:
         calibrator, history = calibrate(
             recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
-    notices = [*recording.warnings, *start.notices, *calibrator.take_notices()]
+    notices = [*recording.warnings, *start.notices, *calibrator.take_notices(),
+               *said_aloud(calibrator.noise.levels())]
     for text in notices:
         say(f'warning: {text}')
     gained = Progress(zip(history.stamp_ns.tolist(), history.sigma))
@@ -96,6 +98,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         say(f'warning: {text}')
     show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     show(report.summary(outcome))
+    for level in outcome['noise_levels']:
+        show(f'Noise: {level["sentence"]}')
     judged = verdict.of(calibrator, gained)
     show(f'Verdict: {judged.summary}')
     if figure is not None:

@@ -12,6 +12,9 @@ from starcal_ros.config.parameter import Spec
 Floats = tuple[float, ...]
 Strings = tuple[str, ...]
 _TINY = 1e-12
+ADAPTABLE = ('star_tracker.centroid_sigma_px', 'gyro.arw_deg_sqrt_h',
+             'estimator.process_noise.gyro_bias_deg_h_sqrt_h')
+"""Noise levels that may be estimated."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,9 @@ class EstimatorConfig:
     answer_changes: Annotated[bool, Spec(
         'Where a step or a drift of bias, mounting or camera is seen, open its covariance and go '
         'on; false lets the calibration be inconsistent', changeable=True)] = True
+    adapt: Annotated[Strings, Spec(
+        'Noise levels that are estimated from the data, in place of the stated ones',
+        choices=ADAPTABLE)] = ()
     gap_acceleration_deg_s2: Annotated[float, Spec(
         'Angular acceleration that may hide in a silence of the gyro', 'deg/s^2', 0.0, 1e4,
         changeable=True)] = 1.0

@@ -30,6 +30,7 @@ from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
 from starcal_ros.filter.model_tests import ModelTests
+from starcal_ros.filter.noise import Noise, noise_of
 from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.gyro_buffer import GyroBuffer
@@ -113,21 +114,28 @@ class Calibrator:
         Its nominal values, observer and estimator options; never its truth.
     covariance : (13, 13) array, optional
         Of the error of the nominal values, in place of the initial sigmas.
+    noise : Noise, optional
+        Where its levels come from; without it the data tell those of ``estimator.adapt``.
     """
 
-    def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
+    def __init__(self, scenario: Scenario, covariance: Array | None = None,
+                 noise: Noise | None = None) -> None:
         self._scenario, self._covariance = scenario, covariance
+        self.noise = noise or noise_of(scenario)
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
         self._patience = scenario.estimator.reacquire_after_frames
         self._directions = StarDirections(scenario)
         self._notices = Notices()
         self._intake = Intake(scenario, self._notices)
+        for text in self.noise.notices:
+            self._notices.say(text)
         self._begin(restarts=0)
 
     def _begin(self, restarts: int) -> None:
-        self.filter = Filter(self._scenario, self._covariance)
         self._density = np.zeros(CALIBRATED.stop - CALIBRATED.start)    # of drifts that were seen
+        self.noise.begin()
+        self.filter = self._filter()
         self.counts = Counts(restarts=restarts)
         self.belief: Belief | None = None
         self.stamp_ns = 0                               # of the last frame processed
@@ -135,7 +143,9 @@ class Calibrator:
         self._frames = Frames.empty()                   # that wait for the gyro
         self._newest_frame_ns = NEVER_NS
         self.consistency = ModelTests(
-            self.filter, self._scenario.estimator.gate_probability)
+            self.filter, self._scenario.estimator.gate_probability,
+            scores=self.noise.scores(self.filter, self._scenario.estimator))
+        self.consistency.noise_known = self.noise.known
         self._rejected_in_a_row = self._torn_in_a_row = 0
         self._lost = False                              # the attitude, before this frame
         self._recent: deque[tuple[int, Array, int]] = deque()
@@ -144,9 +154,12 @@ class Calibrator:
     def use(self, options: EstimatorConfig) -> None:
         """Go on with other gates and process noise, those that may change on the way."""
         self._scenario = replace(self._scenario, estimator=options)
-        self.filter = self._tracker.filter = Filter(
-            self._scenario, self._covariance).walking(self._density)
+        self.filter = self._tracker.filter = self._filter()
         self._patience = options.reacquire_after_frames
+
+    def _filter(self) -> Filter:
+        return Filter(self.noise.stated_in(self._scenario), self._covariance).walking(
+            self._density)
 
     # Coming in
 
@@ -293,7 +306,7 @@ class Calibrator:
         gyro = self._integrated(samples, cuts, self.filter.start)
         for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
             rows = slice(frames.first[k], frames.first[k + 1])
-            frame = stars.take(rows)
+            frame = self.noise.of_stars(stars.take(rows))
             belief = self.belief
             if belief is not None:
                 interval, before = gyro.take(k), belief.nominal
@@ -326,6 +339,8 @@ class Calibrator:
                 self._set_back()
                 continue
             self.belief = answered
+            if self.noise.settle(self.consistency):
+                self.filter = self._tracker.filter = self._filter()
             usable = np.isfinite(stars.sigma[rows])
             self._account(update, usable)
             yield FrameResult(stamp_ns, self.belief, frames.uv_raster[rows],

@@ -56,6 +56,9 @@ LOSSES, LOSSES_FRAMES = 3, 7200
 """Losses of the attitude that may happen, and frames after which one more may: an hour at 2 Hz."""
 SPREAD = 3.0
 """Largest predicted spread of a centroid that is judged, in its sigmas."""
+NOISE_TESTS = ('NIS of the turns', 'NIS of the rest', 'worst window of the turns',
+               'worst window of the rest', 'correlation of turns from frame to frame')
+"""What a noise that is not as stated fails, and need be nothing else."""
 CELLS = 4
 """Cells of the detector along each of its sides."""
 MAGNITUDES = (3.0, 4.0, 5.0, 6.0, 7.0)

@@ -31,8 +31,11 @@ from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS, Sight
-from starcal_ros.filter.innovation_tests import (MARGIN, SCATTER, SPREAD, WINDOW, FrameInnovation,
-                                                 InnovationTests, cell_name, cell_of, gated_nis)
+from starcal_ros.filter.innovation_tests import (MARGIN, NOISE_TESTS, SCATTER, SPREAD, WINDOW,
+                                                 FrameInnovation, InnovationTests, cell_name,
+                                                 cell_of, gated_nis)
+from starcal_ros.filter.likelihood import Likelihood
+from starcal_ros.filter.noise_levels import Scores
 from starcal_ros.filter.responses import WIDTH, Fit, Responses
 from starcal_ros.filter.states import SCALE, THETA
 from starcal_ros.measurements.preintegration import Preintegrated
@@ -84,9 +87,15 @@ class ModelTests:
         With which a good star passes its gate.
     batch : tuple of int
         Leading axes.
+    scores : Scores, optional
+        Of noise levels, of one run: to be told of what comes, too.
 
     Attributes
     ----------
+    likelihood : Likelihood
+        Of the frames so far.
+    noise_known : bool
+        False where the noise is sought: that it is not as stated does not speak against the model.
     history : list of (int, tuple of Statistic)
         What the statistics of the first run were at the end of each window, and its stamp; of a
         run of more than `HISTORY` windows every second, every fourth and so on.
@@ -94,18 +103,21 @@ class ModelTests:
         Steps and drifts that were answered.
     """
 
-    def __init__(self, filter_: Filter, gate_probability: float, batch: tuple[int, ...] = ()
-                 ) -> None:
+    def __init__(self, filter_: Filter, gate_probability: float, batch: tuple[int, ...] = (),
+                 scores: Scores | None = None) -> None:
         self._half = 0.5 * np.array([filter_.detector.width, filter_.detector.height])
         self._n, self._batch = len(filter_.scale), batch
         self._gated = gated_nis(gate_probability)
         self.history: list[tuple[int, tuple[Statistic, ...]]] = []
         self.changes: list[ModelChange] = []
+        self.likelihood = Likelihood(filter_.detector)
+        self.scores, self.noise_known = scores, True
         self._thinned = 1
         self._windows = 0
-        self._begin()
+        self.begin()
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
+        """Begin the tests, as at the first frame and after what was answered."""
         self._tests = {run: InnovationTests(self._gated) for run in np.ndindex(*self._batch)}
         self._responses = Responses(self._batch, self._n, np.concatenate((
             hypotheses.largest(), np.full((N_EFFECTS, WIDTH), _STEP_LARGEST))))
@@ -121,10 +133,14 @@ class ModelTests:
         known = WIDTH * len(HYPOTHESES)
         V[..., :known] = hypotheses.shift(gyro, before, after, self._n)
         self._responses.carry(Phi, V)
+        if self.scores is not None:
+            self.scores.carry(gyro, Phi)
 
     def found(self) -> None:
         """Know that the attitude was found afresh."""
         self._responses.forget(THETA)
+        if self.scores is not None:
+            self.scores.found()
 
     def meet(self, stamp_ns: int, predicted: Nominal, stars: Stars, update: Update,
              catalog_id: Ints, magnitude: Array) -> None:
@@ -161,6 +177,10 @@ class ModelTests:
         normal = (said.z / np.sqrt(1.0 + variance)).reshape(*update.accepted.shape, 2)
         cell = cell_of(stars.uv, self._half)
         rate = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])[..., 0]
+        self.likelihood.add(stamp_ns, said, stars.sigma, update.accepted, update.nis)
+        if self.scores is not None:
+            turn = float(v @ np.linalg.solve(N, v)) if judged else 0.0
+            self.scores.meet(said, float(update.nis) - turn, 2 * int(used) - 3, bool(judged))
         ended = False
         for run, tests in self._tests.items():
             if not judged[run]:
@@ -218,13 +238,14 @@ class ModelTests:
             self._changes.begin(stamp_ns, self._clean(), self._responses)
             return None
         self.changes.append(found.change)
-        self._begin()
+        self.begin()
         return found
 
     def _clean(self) -> bool:
         """Tell whether there is a window at least, and nothing that speaks against the model."""
         return self._tests[()].frames >= WINDOW and all(
-            each.passed for each in self.statistics())
+            each.passed for each in self.statistics()
+            if self.noise_known or each.name not in NOISE_TESTS)
 
     def statistics(self, run: tuple[int, ...] = ()) -> tuple[Statistic, ...]:
         """Return all tests of one run; none while there are too few frames."""
@@ -233,6 +254,15 @@ class ModelTests:
             return ()
         found = (*tests.statistics(), *self._effects(run, tests.frames))
         return tuple(each._replace(since_ns=self._since.get(each.name)) for each in found)
+
+    def size(self, effect: int) -> float:
+        """Return the largest number of the size of an effect of the bank that fits best."""
+        return float(np.max(np.abs(self._responses.fit(next(iter(self._tests))).p[effect])))
+
+    def explained(self) -> float:
+        """Return by how much the best effect raises twice the log likelihood beyond chance."""
+        gains = [each.gain - each.high for each in self.statistics()]
+        return max([0.0, *gains])
 
     def variance_factors(self, run: tuple[int, ...] = ()) -> tuple[float, float]:
         """Return how much larger than stated the variances of turn and rest are."""

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """T18's calibration from all the messages of a recording, and how it went.
 
-The messages go through the same `Calibrator` as in the live estimator.
+The messages go through the same `Calibrator` as in the live estimator. Where noise levels are to
+be estimated, passes before that find them (`noise_search`): better than what a single pass can do.
 """
 
 from __future__ import annotations
@@ -14,10 +15,14 @@ import numpy as np
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.filter import noise_search
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.noise import Noise
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.filter.verdict import equivalent_sigma
 from starcal_ros.measurements.samples import Frames, GyroSamples
+
+_SOUGHT = 0.8           # part of the time in which noise levels are sought
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,13 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         After the last frame that the gyro reached.
     history : History
     """
-    calibrator = Calibrator(scenario, covariance)
+    told = on_progress or (lambda part: None)
+    noise, sought = None, 0.0
+    if scenario.estimator.adapt:
+        sought = _SOUGHT
+        noise = Noise(scenario, noise_search.levels(
+            gyro, frames, scenario, covariance, lambda part: told(sought * part)))
+    calibrator = Calibrator(scenario, covariance, noise)
     calibrator.add_gyro(gyro)
     calibrator.add_frames(frames)
     n = calibrator.waiting
@@ -121,17 +132,16 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         uv_raster.append(frame.uv_raster)
         residual.append(frame.residual)
         accepted.append(frame.accepted)
-        if on_progress and rows % 100 == 0:
-            on_progress(rows / n)
-    if on_progress:
-        on_progress(1.0)
+        if rows % 100 == 0:
+            told(sought + (1.0 - sought) * rows / n)
+    told(1.0)
     done = slice(rows)
     return calibrator, History(
         stamp_ns[done], bias[done], C_sg[done], intrinsics[done], sigma[done],
         equivalent_sigma(root[done], intrinsics[done], calibrator.filter.detector.pitch_mm),
         nis[done], used[done],
         Residuals(np.concatenate(uv_raster), np.concatenate(residual), np.concatenate(accepted),
-                  _sigma(frames, stamp_ns[done], scenario)))
+                  _sigma(frames, stamp_ns[done], scenario) * calibrator.noise.factor))
 
 
 def _sigma(frames: Frames, stamp_ns: Ints, scenario: Scenario) -> Array:

@@ -66,6 +66,9 @@ class Diagnostics:
         for each in judged.statistics:
             key = each.name.lower().replace(' ', '_')
             numbers |= {key: each.value, f'{key}_low': each.low, f'{key}_high': each.high}
+        for level in calibrator.noise.levels():
+            numbers |= {f'noise_level_{level.key}': level.value,
+                        f'noise_level_{level.key}_stated': level.stated}
         values['verdict'] = judged.word
         values.update({name: f'{number:.6g}' for name, number in numbers.items()})
         bad = judged.word in (verdict.LOST, verdict.INCONSISTENT)

@@ -70,7 +70,8 @@ def html(calibration: Calibration) -> str:
     outcome = calibration.outcome
     title = f'Calibration of {outcome["provenance"]["bag"]}'
     return document(
-        title, _verdict(calibration), _states(calibration), _changes(calibration),
+        title, _verdict(calibration), _states(calibration), _noise(calibration),
+        _changes(calibration),
         _convergence(calibration),
         _residuals(calibration), _consistency(calibration), _distortion(calibration),
         _coupling(calibration), _counts(calibration), _provenance(calibration))
@@ -116,6 +117,21 @@ def _states(calibration: Calibration) -> str:
             rows(calibration.outcome, calibration.truth), calibration.verdict.states)]),
         paragraph('Fixed angles are in degrees, their sigma, error and tolerance in arc seconds. '
                   'Tolerances are those of the configuration, estimator.tolerance.'))
+
+
+def _noise(calibration: Calibration) -> str:
+    """Return the noise levels that were estimated; nothing without any."""
+    found = calibration.outcome['noise_levels']
+    if not found:
+        return ''
+    return section(
+        'noise', 'Noise levels',
+        table(['parameter', 'stated', 'found', 'sigma', 'used'],
+              [[each['parameter'], f'{each["stated"]:.3g}', f'{each["value"]:.3g}',
+                short(np.nan if each['sigma'] is None else each['sigma']),
+                'yes' if each['used'] else 'no'] for each in found]),
+        paragraph('Estimated from the innovations, by likelihood (estimator.adapt). They are used '
+                  'where they explain the data beyond chance, the best effect taken out.'))
 
 
 def _changes(calibration: Calibration) -> str:

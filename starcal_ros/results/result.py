@@ -58,11 +58,12 @@ def result(calibrator: Calibrator, provenance: dict[str, str],
         last gyro sample. ``consistency`` has each test of the innovations with its band, and
         ``variance_factor`` how much larger than stated the variances are of what a turn of the
         camera explains, and of the rest; ``changes`` has the steps and drifts that were answered.
-        ``tolerance`` has the largest sigmas that are wanted, with the names and units of the
-        sigmas; ``advice`` is a text, empty where nothing is to be done; ``not_told_apart`` has for
-        each group of such states their names, the reason and what would help. ``augmented`` is
-        there where states of `augmentation` are on: their names, each with its unit, estimates and
-        sigmas.
+        ``noise_levels`` has those of ``estimator.adapt``: stated and found, with the sigma of
+        what was found, and whether it was used. ``tolerance`` has the largest sigmas that are
+        wanted, with the names and units of the sigmas; ``advice`` is a text, empty where nothing
+        is to be done; ``not_told_apart`` has for each group of such states their names, the
+        reason and what would help. ``augmented`` is there where states of `augmentation` are on:
+        their names, each with its unit, estimates and sigmas.
 
     Raises
     ------
@@ -100,6 +101,10 @@ def result(calibrator: Calibrator, provenance: dict[str, str],
         'changes': [{**change._asdict(), 'what': list(change.what), 'sigma': [
             sigma if np.isfinite(sigma) else None for sigma in change.sigma],
             'sentence': change.sentence} for change in calibrator.consistency.changes],
+        'noise_levels': [{
+            'parameter': each.key, 'stated': each.stated, 'value': each.value,
+            'sigma': each.value * each.spread if np.isfinite(each.spread) else None,
+            'used': each.used, 'sentence': each.sentence} for each in calibrator.noise.levels()],
         'tolerance': {
             'intrinsics_sigma': _named(tolerance[6:]),
             'gyro_bias_sigma_deg_h': tolerance[:3].tolist(),

@@ -52,8 +52,8 @@ def test_keys_are_those_of_the_interface(outcome):
     assert set(outcome) == {
         'intrinsics', 'intrinsics_sigma', 'gyro_bias_deg_h', 'gyro_bias_sigma_deg_h', 'mounting',
         'covariance', 'reprojection_rms_px', 'attitude_final', 'verdict', 'converged',
-        'consistency', 'variance_factor', 'changes', 'tolerance', 'advice', 'not_told_apart',
-        'counts', 'provenance'}
+        'consistency', 'variance_factor', 'changes', 'noise_levels', 'tolerance', 'advice',
+        'not_told_apart', 'counts', 'provenance'}
     assert set(outcome['intrinsics']) == set(outcome['intrinsics_sigma']) == intrinsics
     assert set(outcome['mounting']) == {'quaternion_xyzw', 'fixed_angles_deg', 'sigma_arcsec'}
     assert set(outcome['attitude_final']) == {'stamp_ns', 'quaternion_xyzw'}

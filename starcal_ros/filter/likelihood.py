@@ -1,0 +1,69 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How likely a model makes the frames: what models are compared by.
+
+Model
+-----
+The innovations of all frames are independent, of covariance S, so that the probability density of
+what was measured is the product of theirs; twice its logarithm, for the n stars that were used ::
+
+    2 log L = sum (n 2 ln A - 2 n ln 2 pi - ln det S - z' S^-1 z)                        (G.1)
+
+It is counted against stars that may be anywhere on the detector, of density 1 / A each, which is
+what a star is to a model that does not use it: of the same frames no model gains by rejecting
+more of them, and a frame that is not used counts nothing. ``ln det S`` is that of the sigmas and
+of ``I + M' M`` (`core.kalman`). What trails add to it is left out, the same for all models.
+
+The first frames are left out, too: there the linear model is not good to what is asked here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.camera import Detector
+from starcal_ros.core.kalman import Evidence
+from starcal_ros.core.units import NS
+
+BEGIN_S = 10.0
+"""Time from the first frame on of which nothing is counted [s]."""
+
+
+class Likelihood:
+    """Twice the logarithm of the likelihood of one run, or of all runs of a batch.
+
+    Attributes
+    ----------
+    twice_log : (...) array
+        Eq. (G.1).
+    """
+
+    def __init__(self, detector: Detector) -> None:
+        self._free = 2.0 * np.log(detector.width * detector.height) - 2.0 * np.log(2.0 * np.pi)
+        self._first_ns: int | None = None
+        self.twice_log: Array = np.zeros(())
+
+    def add(self, stamp_ns: int, said: Evidence, sigma: Array, accepted: Mask, nis: Array) -> None:
+        """Take a frame in.
+
+        Parameters
+        ----------
+        stamp_ns : int
+        said : Evidence
+        sigma : (..., n) array
+            Of the stars [px].
+        accepted : (..., n) bool array
+            Those that were used.
+        nis : (...) array
+            Their z' S^-1 z.
+        """
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        if (stamp_ns - self._first_ns) * NS < BEGIN_S:
+            return
+        used = np.where(accepted, sigma, 1.0)
+        log_det = 4.0 * np.sum(np.log(used), axis=-1) + 2.0 * np.sum(
+            np.log(np.einsum('...ii->...i', said.L)), axis=-1)
+        self.twice_log = self.twice_log + np.where(
+            np.isfinite(nis), accepted.sum(axis=-1) * self._free - log_det - nis, 0.0)
