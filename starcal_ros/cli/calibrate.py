@@ -38,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--export', metavar='FOLDER',
                         help='write the calibration for other programs: camera_info.yaml, and '
                         'camchain.yaml and imu.yaml as Kalibr has them')
+    parser.add_argument('--adopt', action='store_true',
+                        help='where the data contradict the model and one extension of it '
+                        'explains them better than all others, calibrate again with that')
     outputs.add_overwrite(parser)
 
 
@@ -55,16 +58,17 @@ def run(options: argparse.Namespace) -> int:
     calibrator = calibrate_recording(
         options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
-        Path(options.report) if options.report else None, folder, arguments.topics(options))
+        Path(options.report) if options.report else None, folder, arguments.topics(options),
+        options.adopt)
     return STATUS[result.word(calibrator)]
 
 
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
                         page: Path | None, folder: Path | None = None,
-                        choice: TopicChoice = TopicChoice()) -> Calibrator:
+                        choice: TopicChoice = TopicChoice(), adopt: bool = False) -> Calibrator:
     """Calibrate a recording, write the result, print its table and return the final state."""
     from starcal_ros import report
-    from starcal_ros.filter import verdict
+    from starcal_ros.filter import explanations, verdict
     from starcal_ros.filter.noise_levels import said_aloud
     from starcal_ros.filter.offline import calibrate
     from starcal_ros.filter.progress import Progress
@@ -81,14 +85,28 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     with progress('calibrating') as on_progress:
         calibrator, history = calibrate(
             recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
+    used, adopted = start.scenario, dict[str, str]()
+    explained: explanations.Explanations | None = None
+    if result.word(calibrator) == verdict.INCONSISTENT:
+        with progress('explaining') as on_progress:
+            explained = explanations.explain(recording.gyro, recording.frames, used, calibrator,
+                                             start.covariance, on_progress)
+        if adopt and explained.to_adopt:
+            used = used.replace(explained.to_adopt.values)
+            adopted = {'adopted': '; '.join(explained.to_adopt.lines),
+                       'adopted_config_sha256': used.sha256}
+            with progress('calibrating') as on_progress:
+                calibrator, history = calibrate(
+                    recording.gyro, recording.frames, used, on_progress, start.covariance)
     notices = [*recording.warnings, *start.notices, *calibrator.take_notices(),
                *said_aloud(calibrator.noise.levels())]
     for text in notices:
         say(f'warning: {text}')
     gained = Progress(zip(history.stamp_ns.tolist(), history.sigma))
     outcome = result.result(calibrator, {**result.provenance(scenario, recording),
-                                         'began_with': start.source or 'nominal values'},
-                            gained)
+                                         'began_with': start.source or 'nominal values',
+                                         **adopted},
+                            gained, explained)
     result.write_json(out, outcome)
     if folder is not None:
         for name, content in export.files(outcome, scenario).items():
@@ -101,12 +119,17 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     for level in outcome['noise_levels']:
         show(f'Noise: {level["sentence"]}')
     judged = verdict.of(calibrator, gained)
+    if explained is not None:
+        show(report.explanations_table(outcome))
+        show(f'The data contradict the model; {explained.sentence}. '
+             + (f'Adopted: {adopted["adopted"]}' if adopted else
+                'Nothing was adopted.' if adopt else 'See --adopt.'))
     show(f'Verdict: {judged.summary}')
     if figure is not None:
         report.figure(history, truth, figure)
     if page is not None:
         from starcal_ros.report.page import Calibration, write_page
-        write_page(page, Calibration(outcome, truth, history, judged, scenario,
+        write_page(page, Calibration(outcome, truth, history, judged, used,
                                      contradictions + notices,
                                      calibrator.consistency.history))
     return calibrator

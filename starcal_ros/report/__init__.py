@@ -4,17 +4,19 @@
 
 `states` has the table of the calibrated states, `cameras` those of a camera alone,
 `montecarlo_table` that of a Monte Carlo, `reproduction_table` what a paper has beside ours,
-`convergence` the figure as PNG, `allan` the noise of a gyro. `page` puts all of a calibration on
-one page of HTML (`html`), `still_images_page` that of still images: `time_charts` are charts over
-time, `statistic_charts` those of the tests of the innovations, `detector_charts` those over the
-detector and of the residuals.
+`explanations` what would explain data that contradict the model, `convergence` the figure as PNG,
+`allan` the noise of a gyro. `page` puts all of a calibration on one page of HTML (`html`),
+`still_images_page` that of still images: `time_charts` are charts over time, `statistic_charts`
+those of the tests of the innovations, `detector_charts` those over the detector and of the
+residuals.
 """
 
 from starcal_ros.report.cameras import camera, chain, still_images, verdict_lines
 from starcal_ros.report.convergence import figure
+from starcal_ros.report.explanations import explanations_table
 from starcal_ros.report.montecarlo_table import study
 from starcal_ros.report.reproduction_table import draw, published
 from starcal_ros.report.states import rows, summary, table
 
-__all__ = ['camera', 'chain', 'draw', 'figure', 'published', 'rows', 'still_images', 'study',
-           'summary', 'table', 'verdict_lines']
+__all__ = ['camera', 'chain', 'draw', 'explanations_table', 'figure', 'published', 'rows',
+           'still_images', 'study', 'summary', 'table', 'verdict_lines']

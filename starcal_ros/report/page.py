@@ -22,7 +22,7 @@ from starcal_ros.files.output import write_text
 from starcal_ros.filter.ambiguity import NAMES
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.verdict import INCONSISTENT, Verdict
-from starcal_ros.report import detector_charts, statistic_charts, time_charts
+from starcal_ros.report import detector_charts, explanations, statistic_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.report.states import (DOUBT, LABELS, SCALED, UNITS, Row, at_frame, rows, short,
                                        summary)
@@ -71,7 +71,7 @@ def html(calibration: Calibration) -> str:
     title = f'Calibration of {outcome["provenance"]["bag"]}'
     return document(
         title, _verdict(calibration), _states(calibration), _noise(calibration),
-        _changes(calibration),
+        _explanations(calibration), _changes(calibration),
         _convergence(calibration),
         _residuals(calibration), _consistency(calibration), _distortion(calibration),
         _coupling(calibration), _counts(calibration), _provenance(calibration))
@@ -132,6 +132,22 @@ def _noise(calibration: Calibration) -> str:
                 'yes' if each['used'] else 'no'] for each in found]),
         paragraph('Estimated from the innovations, by likelihood (estimator.adapt). They are used '
                   'where they explain the data beyond chance, the best effect taken out.'))
+
+
+def _explanations(calibration: Calibration) -> str:
+    """Return the extensions of the model that were tried; nothing where none were."""
+    found = calibration.outcome.get('explanations')
+    if found is None:
+        return ''
+    adopted = calibration.outcome['provenance'].get('adopted')
+    what = (f'Adopted: {adopted}; all of this page is calibrated with it, and judged by the same '
+            'tests.' if adopted else 'Nothing was adopted.')
+    return section(
+        'explanations', 'What would explain the data',
+        paragraph(f'The data contradict the model as it is configured; {found["sentence"]}. '
+                  f'{what}'),
+        table(list(explanations.HEAD), explanations.cells(found['tried'])),
+        paragraph(explanations.CRITERION.format(stretch=found['stretch_s'])))
 
 
 def _changes(calibration: Calibration) -> str:

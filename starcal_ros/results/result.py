@@ -20,6 +20,7 @@ from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.files.output import write_text
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.explanations import Explanations
 from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
 from starcal_ros.recording.reader import Recording
@@ -38,7 +39,8 @@ def word(calibrator: Calibrator) -> str:
 
 
 def result(calibrator: Calibrator, provenance: dict[str, str],
-           progress: Progress | None = None) -> dict[str, Any]:
+           progress: Progress | None = None, explained: Explanations | None = None
+           ) -> dict[str, Any]:
     """Return RESULT.json as a dictionary.
 
     Parameters
@@ -49,6 +51,8 @@ def result(calibrator: Calibrator, provenance: dict[str, str],
         Version, configuration hash, bag hash.
     progress : Progress, optional
         How the run went; without it ``advice`` says nothing of the time that it will take.
+    explained : Explanations, optional
+        What would explain data that contradict the model.
 
     Returns
     -------
@@ -63,7 +67,9 @@ def result(calibrator: Calibrator, provenance: dict[str, str],
         wanted, with the names and units of the sigmas; ``advice`` is a text, empty where nothing
         is to be done; ``not_told_apart`` has for each group of such states their names, the
         reason and what would help. ``augmented`` is there where states of `augmentation` are on:
-        their names, each with its unit, estimates and sigmas.
+        their names, each with its unit, estimates and sigmas. ``explanations`` is there where
+        extensions of the model were tried: what to add to the parameter file for each, the best
+        first (`filter.explanations`).
 
     Raises
     ------
@@ -116,6 +122,14 @@ def result(calibrator: Calibrator, provenance: dict[str, str],
         'counts': dataclasses.asdict(counts),
         'provenance': provenance,
     }
+    if explained is not None:
+        values['explanations'] = {
+            'sentence': explained.sentence, 'stretch_s': explained.stretch_s,
+            'to_adopt': explained.to_adopt.name if explained.to_adopt else None,
+            'tried': [{'name': each.name, 'parameters': dict(each.values),
+                       'lines': list(each.lines), 'numbers': each.numbers, 'gain': each.gain,
+                       'score': each.score, 'beyond_chance': each.beyond_chance}
+                      for each in explained.tried]}
     if estimate.augmentation.on:
         units = estimate.augmentation.units
         values['augmented'] = {'names': list(estimate.augmentation.names),

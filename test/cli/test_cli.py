@@ -318,6 +318,25 @@ def test_data_that_contradict_the_model_are_told_with_their_sigmas_scaled(starca
     assert outcome['advice'] == 'do not believe the sigmas: find what contradicts the model'
 
 
+def test_what_explains_late_stamps_is_said_and_adopted_where_asked_for(starcal, tmp_path):
+    bag, out, page = (tmp_path / name for name in ('late.mcap', 'r.json', 'r.html'))
+    late = altered(tmp_path, '    truth:  ', '    truth.star_tracker.time_offset_s: 0.005\n'
+                   '    truth:  ')
+    assert starcal('simulate', '--config', late, '--out', bag, '--duration', 120).status == 0
+    done = starcal('calibrate', bag, '--config', late, '--out', out, '--report', page, '--adopt')
+    outcome = json.loads(out.read_text())
+    found, line = outcome['explanations'], outcome['provenance']['adopted']
+    assert found['to_adopt'] == found['tried'][0]['name'] == 'time offset of the star tracker'
+    assert found['tried'][0]['lines'] == [line] and 'time_offset_sigma_s: ' in line
+    assert found['tried'][0]['score'] > found['tried'][1]['score'] + 12.0
+    assert done.status == NOT_YET and outcome['verdict'] == 'not yet'
+    assert outcome['augmented']['names'] == ['tau_s']
+    # A frame that is stamped late shows the sky of before its stamp.
+    (tau_s,), (sigma_s,) = (outcome['augmented'][key] for key in ('estimates', 'sigmas'))
+    assert abs(tau_s + 0.005) < 4.5 * sigma_s
+    assert f'Adopted: {line}' in done.out and f'Adopted: {line}' in page.read_text()
+
+
 def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path):
     """The second run starts where the first ended, as the node would."""
     scenario = TAN2018.replace({'estimator.calibration_directory': str(tmp_path / 'saved'),

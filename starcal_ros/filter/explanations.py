@@ -1,0 +1,336 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which extension of the model explains data that contradict it.
+
+Each `Candidate` is a set of parameters that a user could add: an optional state, random walks of
+some states, other noise levels. Those are tried to which the tests that fail point: the bank of
+`hypotheses` has followed already what each effect alone would explain, and an effect that
+explains less than `_POINTS` of what the best does points nowhere. All run over the same
+stretch of the messages, the first at which the tests fail of `STRETCHES_S`, and are ranked by
+twice the logarithm of the likelihood that they add (`likelihood`) less ``k ln n``, k the numbers
+that they add to the model and n the frames: Schwarz, *Estimating the dimension of a model*, The
+Annals of Statistics 6(2), 1978.
+
+An extension explains the data where its likelihood ratio is beyond chance: chi-square of k degrees
+of freedom, `ALARM` for all that were tried. One that adds to another has to be better than that
+beyond chance, too. The best is told from the others where it is better by `TOLD`. Of those that
+are as good all are said, and none is adopted, unless they are equal in effect: no state moves by
+more than `ALIKE` of its sigma from one to the other, and no sigma by more than a tenth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import rotation
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.changes import TOLD
+from starcal_ros.filter.hypotheses import CHANGING, HYPOTHESES, MISALIGNMENTS, SCALE_FACTORS, TIME
+from starcal_ros.filter.innovation_tests import NOISE_TESTS
+from starcal_ros.filter.model_tests import ModelTests
+from starcal_ros.filter.noise import Noise
+from starcal_ros.filter.noise_levels import CENTROIDS, GYRO, NoiseLevel
+from starcal_ros.filter.noise_search import Search
+from starcal_ros.filter.states import CALIBRATED
+from starcal_ros.measurements.samples import Frames, GyroSamples
+
+STRETCHES_S = (900.0, 3600.0)
+"""Parts of the recording that extensions are tried on: the first that is long enough [s]."""
+ALIKE = 0.5
+"""Shift of a state, in its sigmas, that makes no difference."""
+
+_WALK = 'estimator.process_noise.'
+_TIME_S, _MATRIX_PPM = 0.01, 500.0      # initial sigmas, at least
+_WIDE = 3.0                             # sigma over the size that the bank has found
+_SIGMA = 1.1                            # ratio of two sigmas that makes no difference
+_POINTS = 0.25                          # of the best gain of the bank, for one to point
+_BEFORE_NS = 10**8                      # of gyro before the first frame
+_TURNS = ('mean of the turns', 'turns along the rate')
+
+
+class Candidate(NamedTuple):
+    """An extension that may be tried.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    values : mapping
+        Parameters to add.
+    numbers : int
+        Numbers that it adds to the model.
+    sought : tuple of str
+        Parameters among them, or noise levels, whose value the data are to tell.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+    numbers: int
+    sought: tuple[str, ...] = ()
+
+
+class Tried(NamedTuple):
+    """An extension that was tried.
+
+    Attributes
+    ----------
+    name : str
+    values : mapping
+        Parameters to add.
+    numbers : int
+        k.
+    gain : float
+        What it adds to twice the logarithm of the likelihood.
+    score : float
+        The same less k ln n.
+    beyond_chance : bool
+        Whether its likelihood ratio is.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+    numbers: int
+    gain: float
+    score: float
+    beyond_chance: bool
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What to add to the parameter file, one parameter a line."""
+        return tuple(f'{key}: {_yaml(value)}' for key, value in self.values.items())
+
+
+@dataclass(frozen=True)
+class Explanations:
+    """What would explain the data.
+
+    Attributes
+    ----------
+    tried : tuple of Tried
+        The best first.
+    best : tuple of Tried
+        Those that can not be told apart as the best; none where nothing explains the data.
+    alike : bool
+        Whether these are equal in effect.
+    stretch_s : float
+        Length of what they were tried on.
+    """
+
+    tried: tuple[Tried, ...]
+    best: tuple[Tried, ...]
+    alike: bool
+    stretch_s: float
+
+    @property
+    def to_adopt(self) -> Tried | None:
+        """The extension that may be adopted, of those that are equal in effect the simplest."""
+        if not self.best or (len(self.best) > 1 and not self.alike):
+            return None
+        return min(self.best, key=lambda each: (each.numbers, -each.score))
+
+    @property
+    def sentence(self) -> str:
+        """What was found."""
+        if not self.tried:
+            return 'no extension of the model is known for what fails'
+        if not self.best:
+            return 'no extension of the model explains the data better than chance would'
+        names = [each.name for each in self.best]
+        if len(names) == 1:
+            return f'best explained by: {names[0]}'
+        return f'explained as well by: {"; ".join(names)}; ' + (
+            'equal in effect' if self.alike else 'the data do not tell them apart')
+
+
+def explain(gyro: GyroSamples, frames: Frames, scenario: Scenario, calibrated: Calibrator,
+            covariance: Array | None = None,
+            on_progress: Callable[[float], None] = lambda part: None) -> Explanations:
+    """Try the extensions to which the tests of a calibration point.
+
+    Parameters
+    ----------
+    gyro, frames
+        All the messages.
+    scenario : Scenario
+        What it was calibrated with.
+    calibrated : Calibrator
+        After all the messages; some of its tests fail.
+    covariance : (13, 13) array, optional
+        Of the error of the nominal values, in place of the initial sigmas.
+    on_progress : callable
+        Called now and then with the part done, 0 to 1.
+    """
+    statistics = calibrated.consistency.statistics()
+    candidates = list(_pointed(statistics, scenario, calibrated.consistency))
+    if not candidates:
+        return Explanations((), (), False, 0.0)
+    since = [each.since_ns for each in statistics if each.since_ns is not None]
+    for seconds in STRETCHES_S:
+        part = _about(gyro, frames, seconds, min(since, default=calibrated.stamp_ns))
+        base = _run(*part, scenario, covariance)
+        if len(part[1]) == len(frames) or not all(
+                each.passed for each in base.consistency.statistics()):
+            break
+
+    @cache
+    def noise() -> Sequence[NoiseLevel]:
+        keys = {key for each in candidates if each.values.get('estimator.adapt')
+                for key in each.sought}
+        return Search(*part, scenario, sorted(keys), covariance).found()
+
+    runs: dict[str, Calibrator] = {}
+    tried, n = [], max(len(part[1]), 2)
+    for k, candidate in enumerate(candidates):
+        run, values = _tried(candidate, *part, scenario, covariance, noise)
+        gain = float(run.consistency.likelihood.twice_log
+                     - base.consistency.likelihood.twice_log)
+        runs[candidate.name] = run
+        tried.append(Tried(candidate.name, values, candidate.numbers, gain,
+                           gain - candidate.numbers * math.log(n),
+                           gain > chi2_beyond(ALARM / len(candidates), candidate.numbers)))
+        on_progress((k + 1) / len(candidates))
+    tried.sort(key=lambda each: -each.score)
+    best = _best(tried, len(candidates))
+    return Explanations(tuple(tried), best, _alike([runs[each.name] for each in best]),
+                        float(frames_s(part[1])))
+
+
+def frames_s(frames: Frames) -> float:
+    """Return the time from the first frame to the last [s]."""
+    return (int(frames.stamp_ns[-1]) - int(frames.stamp_ns[0])) * 1e-9 if len(frames) else 0.0
+
+
+def _pointed(statistics: Sequence[Statistic], scenario: Scenario, tests: ModelTests
+             ) -> Iterator[Candidate]:
+    """Yield the extensions that the failing tests may mean and that are not yet there."""
+    failed = [each for each in statistics if not each.passed]
+    most = max((each.gain for each in failed), default=0.0)
+    failing = {each.name for each in failed if not 0.0 < each.gain < _POINTS * most}
+    names = [each.name for each in HYPOTHESES]
+    augment = scenario.estimator.augment
+
+    def points(*to: str) -> bool:
+        return bool(failing & set(to))
+
+    if augment.time_offset_sigma_s is None and points(names[TIME], *_TURNS):
+        sigma_s = max(_TIME_S, _WIDE * 1e-3 * tests.size(TIME))
+        yield Candidate('time offset of the star tracker', {
+            'estimator.augment.time_offset_sigma_s': min(_rounded(sigma_s), 1.0)}, 1)
+    if augment.gyro_matrix_sigma_ppm is None and points(
+            names[SCALE_FACTORS], names[MISALIGNMENTS], *_TURNS):
+        sigma_ppm = max(_MATRIX_PPM, _WIDE * max(tests.size(SCALE_FACTORS),
+                                                 tests.size(MISALIGNMENTS)))
+        yield Candidate('scale factors and misalignments of the gyros', {
+            'estimator.augment.gyro_matrix_sigma_ppm': min(_rounded(sigma_ppm), 1e4)}, 9)
+    for name, key, to in (
+            ('random walk of the gyro bias', 'gyro_bias_deg_h_sqrt_h', CHANGING[:1]),
+            ('random walk of the fixed angles', 'fixed_angles_arcsec_sqrt_h', CHANGING[1:3]),
+            ('random walk of the focal length', 'focal_length_mm_sqrt_h', CHANGING[3:]),
+            ('random walk of the principal point', 'principal_point_px_sqrt_h', CHANGING[3:])):
+        if points(*(f'{kind} of the {each}' for each in to for kind in ('drift', 'step')),
+                  *(_TURNS if to == CHANGING[:1] else ())):
+            yield Candidate(name, {}, 1, (_WALK + key,))
+    of_stars = any(name.endswith('rest') for name in failing & set(NOISE_TESTS))
+    of_turns = any('turn' in name for name in failing & set(NOISE_TESTS))
+    noises: tuple[tuple[str, bool, tuple[str, ...]], ...] = (
+        ('other noise of the centroids', of_stars, (CENTROIDS,)),
+        ('other noise of the gyros', of_turns, (GYRO,)),
+        ('other noise of centroids and gyros', of_stars and of_turns, (CENTROIDS, GYRO)))
+    for name, pointed, keys in noises:
+        if pointed and not set(keys) & set(scenario.estimator.adapt):
+            yield Candidate(name, {'estimator.adapt': (*scenario.estimator.adapt, *keys)},
+                            len(keys), keys)
+
+
+def _tried(candidate: Candidate, gyro: GyroSamples, frames: Frames, scenario: Scenario,
+           covariance: Array | None, noise: Callable[[], Sequence[NoiseLevel]]
+           ) -> tuple[Calibrator, Mapping[str, Any]]:
+    """Return a calibrator with an extension after some messages, and the extension's values."""
+    values = dict(candidate.values)
+    levels: Sequence[NoiseLevel] = ()
+    if candidate.sought:
+        if values:
+            levels = [each for each in noise() if each.key in candidate.sought]
+        else:
+            search = Search(gyro, frames, scenario, candidate.sought, covariance, brief=True)
+            values = {key: _rounded(value) for key, value in search.values.items()}
+    # What is sought is found already: the run itself has it as given.
+    given = {key: value for key, value in values.items() if key != 'estimator.adapt'}
+    return _run(gyro, frames, scenario.replace(given), covariance, levels), values
+
+
+def _run(gyro: GyroSamples, frames: Frames, scenario: Scenario, covariance: Array | None,
+         levels: Sequence[NoiseLevel] = ()) -> Calibrator:
+    calibrator = Calibrator(scenario, covariance, Noise(scenario, levels))
+    calibrator.add_gyro(gyro)
+    calibrator.add_frames(frames)
+    for _ in calibrator.process():
+        pass
+    return calibrator
+
+
+def _best(tried: Sequence[Tried], count: int) -> tuple[Tried, ...]:
+    """Return the best of those that explain the data and what can not be told from it."""
+    found = [each for each in tried if each.beyond_chance and not any(
+        _adds_to(each, other) and each.gain - other.gain <= chi2_beyond(
+            ALARM / count, each.numbers - other.numbers) for other in tried)]
+    return tuple(each for each in found if each.score > found[0].score - TOLD)
+
+
+def _adds_to(one: Tried, other: Tried) -> bool:
+    """Tell whether an extension has all that another has, and more."""
+    def parts(each: Tried) -> set[str]:
+        return {*each.values.get('estimator.adapt', ()), *each.values} - {'estimator.adapt'}
+    return parts(one) > parts(other)
+
+
+def _alike(runs: Sequence[Calibrator]) -> bool:
+    """Tell whether some calibrations have the same estimates and sigmas."""
+    beliefs = [run.belief for run in runs]
+    return all(one is not None and beliefs[0] is not None and _equal(one, beliefs[0])
+               for one in beliefs[1:])
+
+
+def _equal(one: Belief, other: Belief) -> bool:
+    x, y = one.estimate, other.estimate
+    shift = np.concatenate((x.bias - y.bias, rotation.log(x.C_sg @ y.C_sg.T),
+                            x.intrinsics - y.intrinsics))
+    a, b = one.sigma[CALIBRATED], other.sigma[CALIBRATED]
+    return bool((np.abs(shift) < ALIKE * np.minimum(a, b)).all()
+                and (np.maximum(a / b, b / a) < _SIGMA).all())
+
+
+def _about(gyro: GyroSamples, frames: Frames, seconds: float, at_ns: int
+           ) -> tuple[GyroSamples, Frames]:
+    """Return the messages of some seconds about a stamp, as far as the recording goes."""
+    if not len(frames):
+        return gyro, frames
+    length = round(seconds * 1e9)
+    first, last = int(frames.stamp_ns[0]), int(frames.stamp_ns[-1])
+    begin = max(first, min(at_ns - length // 2, last - length))
+    of_frames = (frames.stamp_ns >= begin) & (frames.stamp_ns <= begin + length)
+    of_gyro = (gyro.stamp_ns >= begin - _BEFORE_NS) & (gyro.stamp_ns <= begin + length)
+    return gyro.take(of_gyro), frames.take(of_frames)
+
+
+def _rounded(value: float) -> float:
+    """Return a number to two digits: what is put into a parameter file."""
+    return float(f'{value:.2g}')
+
+
+def _yaml(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f'[{", ".join(value)}]'
+    # ROS 2 takes 1e-05 for a text: a number has a point.
+    text = repr(value)
+    return text if '.' in text or 'e' not in text else text.replace('e', '.0e')
