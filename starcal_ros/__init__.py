@@ -36,6 +36,7 @@ Each imports itself and those before it in this table (``WINGS`` in ``test/test_
     calibration     the camera alone; `methods` has one method a file
     messages        what is on the topics: their names, the conventions of ROS, CDR bytes
     recording       MCAP files and rosbag2 directories, read and written
+    checks          what of a configuration a recording denies, before any filter runs
     results         what a calibration gives: RESULT.json, exports, the store of saved ones
     workflows       whole calibrations of the parts: the bootstrap, still images, the live suite
     simulation      the truth and the sensors that see it; `errors` has one error source a file

@@ -14,7 +14,7 @@ import pytest
 TOP = Path(__file__).parents[1]
 PACKAGE = TOP / 'starcal_ros'
 WINGS = ('core', 'files', 'sky', 'config', 'measurements', 'filter', 'imaging', 'identification',
-         'calibration', 'messages', 'recording', 'results', 'workflows', 'simulation',
+         'calibration', 'messages', 'recording', 'checks', 'results', 'workflows', 'simulation',
          'evaluation', 'reproduction', 'report', 'nodes.base', 'nodes', 'cli')
 """Each imports itself and those before it. What estimates stands before the truth."""
 ONLY = {'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srvs': 'nodes',

@@ -4,9 +4,8 @@
 
 A sub-command is a module of this package with ``SUMMARY``, ``DESCRIPTION``,
 ``add_arguments(parser)`` and ``run(options)``, which returns the exit status: 0 done, 1 no result,
-2 wrong input; of a calibration also 3 and 4, see `terminal.STATUS`; 4 of a check that has found
-something. What takes long to import is
-imported by ``run``.
+2 wrong input; of a calibration also 3 and 4, see `terminal.STATUS`, of a check 4. What takes long
+to import is imported by ``run``.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.workflows.live_run import NodeError
 
-COMMANDS = ('demo', 'simulate', 'calibrate', 'intrinsics', 'bootstrap', 'allan', 'montecarlo',
-            'reproduce', 'play', 'watch', 'info', 'recover')
+COMMANDS = ('demo', 'simulate', 'check', 'calibrate', 'intrinsics', 'bootstrap', 'allan',
+            'montecarlo', 'reproduce', 'play', 'watch', 'info', 'recover')
 """In the order in which the usage lists them."""
 
 
@@ -56,7 +55,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         prog='starcal', description='Calibrate a star tracker and three gyros from the stars '
         'they see: principal point, focal length, distortion, gyro bias, mounting and attitude.',
         epilog='Exit status: 0 done; 3 the result is written, but not yet inside the tolerances; '
-               '4 the result is written, but the data contradict the model, or a check has found '
+               '4 the result is written, but the data contradict the model, or check found '
                'something; 1 no result; 2 wrong input. For one command: starcal COMMAND --help')
     parser.add_argument('--version', action='version',
                         version=f'starcal_ros {starcal_ros.__version__}')

@@ -1,0 +1,85 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""``starcal check``: which assumption of the configuration a recording denies."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING
+
+from starcal_ros.cli import arguments, outputs
+from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.config import parameter_file
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.files.output import write_text
+
+if TYPE_CHECKING:
+    from starcal_ros.checks.check import Checked
+    from starcal_ros.recording.reader import Recording
+
+SUMMARY = 'tell which assumption a recording denies'
+DESCRIPTION = ('Read from a recording, before any filter, what of its configuration is wrong: '
+               'units, axes and mounting of the gyros, stamps and clocks, rates, noise, the '
+               'camera. Exit status 0: nothing found; 4: found; 2: wrong input.')
+_FOUND = 4
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the command takes."""
+    arguments.add_bag(parser)
+    arguments.add_config(parser, recorded=True)
+    arguments.add_topics(parser, images=False)
+    parser.add_argument('--write', metavar='FIXED.yaml',
+                        help='parameter file with what is proposed, to calibrate with')
+    outputs.add_overwrite(parser)
+    parser.add_argument('--json', action='store_true', help='print the findings as JSON')
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from starcal_ros.checks.finding import proposed
+    from starcal_ros.recording import reader
+    scenario = arguments.scenario_of(options.bag, options, ('estimator',))
+    outputs.claim([options.write], [options.bag, options.config], options.overwrite)
+    choice = arguments.topics(options)
+    with progress('reading') as on_progress:
+        recording = reader.read(options.bag, on_progress, choice=choice)
+    for text in recording.warnings:
+        say(f'warning: {text}')
+    checked = check_recording(recording, scenario)
+    if options.json:
+        print(json.dumps({'recording': str(options.bag),
+                          'findings': [each.as_dict() for each in checked.findings],
+                          'untold': list(checked.untold)}, indent=1, allow_nan=False))
+    else:
+        _show(checked)
+    if options.write:
+        write_text(options.write, parameter_file.dump(proposed(scenario, checked.findings)))
+    return _FOUND if checked.findings else 0
+
+
+def check_recording(recording: Recording, scenario: Scenario) -> Checked:
+    """Check what was read of a recording, with a progress bar."""
+    from starcal_ros.checks.check import check
+    from starcal_ros.checks.frame_ids import of_frame_ids
+    from starcal_ros.checks.stamps import LogTimes
+    from starcal_ros.recording import reader
+    from starcal_ros.recording.frame_ids import first_frame_id
+    logged = {topic.topic: LogTimes(topic.first_ns, topic.last_ns)
+              for topic in reader.summary(recording.path).topics}
+    ids = of_frame_ids(*(first_frame_id(recording.path, topic) if topic else None
+                         for topic in (recording.gyro_topic, recording.frames_topic)))
+    with progress('checking') as on_progress:
+        checked = check(recording.gyro, recording.frames, scenario,
+                        logged.get(recording.frames_topic), on_progress)
+    return checked.with_findings(ids)
+
+
+def _show(checked: Checked) -> None:
+    for each in checked.findings:
+        show(f'{each.points_at}: {each.sentence}')
+    for text in checked.untold:
+        show(f'not told: {text}')
+    count = len(checked.findings)
+    show(f'{count} found' if count else 'Nothing found')
