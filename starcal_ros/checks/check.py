@@ -153,7 +153,10 @@ def _compare(gyro: GyroSamples, seen: sky.SeenSky, scenario: Scenario
     noise = Noise(
         max(scenario.gyro.arw_deg_sqrt_h, _LEAST_WALK) * DEG_PER_SQRT_HOUR,
         scenario.estimator.process_noise.gyro_bias_deg_h_sqrt_h * DEG_PER_HOUR / SQRT_HOUR)
-    outcome = explanations.explain(turns, Gyro(samples), C_sg, bias, rough.lag_s, noise)
+    try:
+        outcome = explanations.explain(turns, Gyro(samples), C_sg, bias, rough.lag_s, noise)
+    except np.linalg.LinAlgError:       # as of attitudes that a frame's stars hardly give
+        return findings, ['bias, stamps and noise: the turns are too badly known']
     named = [k for k, each in enumerate(findings) if 'mounting.quaternion_xyzw'
              in each.parameters]
     for k in named:

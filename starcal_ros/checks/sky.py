@@ -34,6 +34,7 @@ _SAMPLE = 60            # frames that the camera is fitted to
 _LEAST_FRAMES = 8
 _SEARCHED = 10          # of these, that a focal length is searched with
 _FOCAL = np.geomspace(0.1, 10.0, 41)    # of the nominal one
+_NEAR_PX = 5.0          # that the stated camera may be off and no other is searched
 _PART = 0.5             # of the stars that must fit
 _WIDE = 20.0            # of the initial sigmas, that the camera may be off
 _PASSES = 8
@@ -160,6 +161,8 @@ def _begin(spots: Observations, scenario: Scenario) -> tuple[Array, bool]:
         u_s = (C_si[spots.frame] @ spots.u_i[..., None])[..., 0]
         return float(np.median(np.linalg.norm(u_s - r_s, axis=-1)))
 
+    if miss(nominal, 1.0) < _NEAR_PX * pitch_mm / nominal[2]:
+        return nominal, False
     # The stated lens belongs to the stated focal length: others are searched without one.
     tried = [nominal, *(np.array([0.0, 0.0, part * nominal[2], 0.0, 0.0, 0.0, 0.0])
                         for part in _FOCAL)]

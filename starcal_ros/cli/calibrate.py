@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
+from starcal_ros.cli.check import check_recording
 from starcal_ros.cli.terminal import STATUS, progress, say, show
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
@@ -41,6 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--adopt', action='store_true',
                         help='where the data contradict the model and one extension of it '
                         'explains them better than all others, calibrate again with that')
+    parser.add_argument('--no-check', action='store_true', help='skip what starcal check looks at '
+                        'before the filter runs')
     outputs.add_overwrite(parser)
 
 
@@ -59,13 +62,14 @@ def run(options: argparse.Namespace) -> int:
         options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
         Path(options.report) if options.report else None, folder, arguments.topics(options),
-        options.adopt)
+        options.adopt, checked=not options.no_check)
     return STATUS[result.word(calibrator)]
 
 
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
                         page: Path | None, folder: Path | None = None,
-                        choice: TopicChoice = TopicChoice(), adopt: bool = False) -> Calibrator:
+                        choice: TopicChoice = TopicChoice(), adopt: bool = False,
+                        checked: bool = True) -> Calibrator:
     """Calibrate a recording, write the result, print its table and return the final state."""
     from starcal_ros import report
     from starcal_ros.filter import explanations, verdict
@@ -82,6 +86,12 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     for text in contradictions:
         say(f'warning: {text}')
     start = initial.initial_values(scenario, _saved(scenario))
+    if checked:
+        denied = [f'{each.points_at}: {each.sentence}'
+                  for each in check_recording(recording, start.scenario).findings]
+        for text in denied:
+            say(f'warning: {text}')
+        contradictions += denied
     with progress('calibrating') as on_progress:
         calibrator, history = calibrate(
             recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)

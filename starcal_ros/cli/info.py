@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -13,10 +15,14 @@ from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import show
 from starcal_ros.files.foreign import clean, literal
 
+if TYPE_CHECKING:
+    from starcal_ros.recording.reader import Summary
+
 SUMMARY = 'tell what a recording holds'
-DESCRIPTION = ('List the topics, types, counts and rates of a recording. With --check also '
-               'whether it is sound: every checksum, the definitions of its types and the counts '
-               'that it states; exit status 4 where it is not.')
+DESCRIPTION = ('List the topics, types, counts and rates of a recording, and what is odd of the '
+               'stamps of gyro and frames. With --check also whether it is sound: every checksum, '
+               'the definitions of its types and the counts that it states; exit status 4 where '
+               'it is not.')
 
 _FOUND = 4
 
@@ -47,6 +53,8 @@ def run(options: argparse.Namespace) -> int:
         show(f'attachment {clean(name)}, {size} bytes')
     for text in summary.warnings:
         show(f'warning: {text}')
+    for text in _stamps(options, summary, {word: name for name, word in uses.items()}):
+        show(f'stamps: {text}')
     return _check(Path(options.bag)) if options.check else 0
 
 
@@ -64,6 +72,27 @@ def _check(path: Path) -> int:
     show(f'sound: {sum(found.messages for found in results.values())} messages in '
          f'{sum(found.chunks for found in results.values())} chunks')
     return 0
+
+
+def _stamps(options: argparse.Namespace, summary: Summary, used: dict[str, str]
+            ) -> Iterator[str]:
+    """Yield what the stamps of gyro and frames say by themselves."""
+    from starcal_ros.checks.stamps import LogTimes, of_clocks, of_topic
+    from starcal_ros.messages.cdr import RecordError
+    from starcal_ros.recording import reader
+    if not {'gyro', 'frames'} <= used.keys():
+        return
+    try:
+        recording = reader.read(options.bag, choice=arguments.topics(options))
+    except RecordError as error:
+        yield f'can not be read: {error}'
+        return
+    logged = {topic.topic: LogTimes(topic.first_ns, topic.last_ns) for topic in summary.topics}
+    found = [*of_topic('gyro readings', recording.gyro.stamp_ns, None, 0.0, 'gyro'),
+             *of_topic('frames', recording.frames.stamp_ns, None, 0.0, 'star tracker'),
+             *of_clocks(recording.gyro.stamp_ns, recording.frames.stamp_ns,
+                        logged.get(recording.frames_topic))]
+    yield from (each.sentence for each in found)
 
 
 def _uses(options: argparse.Namespace) -> dict[str, str]:

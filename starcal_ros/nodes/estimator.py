@@ -21,6 +21,7 @@ from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.stamps import status_stamp
+from starcal_ros.nodes.estimator_check import FirstMinutes
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
 from starcal_ros.nodes.estimator_results import Results
 from starcal_ros.results import initial, result
@@ -86,6 +87,7 @@ class Estimator(ManagedNode):
             self._look_at_frame(topics.IMU, batch[0], GYRO_FRAME)
             for part in decoded(batch, cdr_imu.decode_imu, self._drop):
                 self._calibrator.add_gyro(part)
+                self._first.add_gyro(part)
             self._advance()
 
     def _on_frames(self, batch: list[bytes]) -> None:
@@ -93,6 +95,7 @@ class Estimator(ManagedNode):
             self._look_at_frame(topics.CENTROIDS, batch[0], OPTICAL_FRAME)
             for part in decoded(batch, cdr_pointcloud.decode_centroids, self._drop):
                 self._calibrator.add_frames(part)
+                self._first.add_frames(part)
             self._advance()
 
     def _look_at_frame(self, topic: topics.Topic, message: bytes, expected: str) -> None:
@@ -122,7 +125,10 @@ class Estimator(ManagedNode):
             self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
-        message = self._diagnostics.message(self._calibrator, self._enabled, self._progress)
+        for finding in self._first.take():
+            self.get_logger().warning(f'{finding.points_at}: {finding.sentence}')
+        message = self._diagnostics.message(self._calibrator, self._enabled, self._progress,
+                                            self._first.checked)
         message.header.stamp = status_stamp(self, self._calibrator.stamp_ns)
         self._results.publish_diagnostics(message)
 
@@ -131,7 +137,7 @@ class Estimator(ManagedNode):
     def _begin(self) -> None:
         self._start = initial.initial_values(self.scenario, self._archive)
         self._calibrator = Calibrator(self._start.scenario, self._start.covariance)
-        self._progress = Progress()
+        self._progress, self._first = Progress(), FirstMinutes(self._start.scenario)
         for text in self._start.notices:
             self.get_logger().warning(text)
 

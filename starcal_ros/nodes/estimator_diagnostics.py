@@ -11,6 +11,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from starcal_ros.checks.check import Checked
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
@@ -31,11 +32,11 @@ class Diagnostics:
         self._heard_s: dict[str, float] = {}        # by topic, as the next
         self._received: dict[str, int] = {}
 
-    def message(self, calibrator: Calibrator, enabled: bool, progress: Progress | None = None
-                ) -> DiagnosticArray:
-        """Return health, counts and the verdict on the calibration, and what is received."""
+    def message(self, calibrator: Calibrator, enabled: bool, progress: Progress | None = None,
+                checked: Checked | None = None) -> DiagnosticArray:
+        """Return health, counts and verdict, what is received, what its first minutes deny."""
         message = DiagnosticArray(status=[self._calibration(calibrator, enabled, progress),
-                                          self._of_inputs()])
+                                          self._of_inputs(), self._of_check(checked)])
         message.header.stamp = self._node.get_clock().now().to_msg()
         return message
 
@@ -96,6 +97,16 @@ class Diagnostics:
         self._looked_s = now_s
         level = DiagnosticStatus.WARN if troubles else DiagnosticStatus.OK
         return self._status('inputs', level, ', '.join(troubles) or 'receiving', values)
+
+    def _of_check(self, checked: Checked | None) -> DiagnosticStatus:
+        if checked is None:
+            return self._status('check', DiagnosticStatus.OK, 'not yet', {})
+        values = {f'{k}: {each.points_at}': each.sentence
+                  for k, each in enumerate(checked.findings, start=1)}
+        values['not_told'] = '; '.join(checked.untold) or 'none'
+        level = DiagnosticStatus.WARN if checked.findings else DiagnosticStatus.OK
+        found = ', '.join(each.kind for each in checked.findings)
+        return self._status('check', level, found or 'nothing found', values)
 
     def _status(self, name: str, level: bytes, message: str, values: dict[str, str]
                 ) -> DiagnosticStatus:

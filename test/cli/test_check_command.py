@@ -92,3 +92,22 @@ def test_wrong_input_is_refused(starcal, bag, tmp_path):
     assert starcal('check', bag, '--config', tmp_path / 'none.yaml')[0] == 2
     status, _, err = starcal('check', bag, '--write', bag)
     assert status == 2 and str(bag) in err
+
+
+def test_calibrate_warns_of_the_same_and_can_be_told_not_to(starcal, bag, tmp_path):
+    wrong, out = inverse(tmp_path), tmp_path / 'result.json'
+    words = ('calibrate', bag, '--config', wrong, '--out', out, '--overwrite')
+    assert 'warning: mounting: the mounting is off by 60.1 deg' in starcal(*words)[2]
+    assert 'the mounting is off' not in starcal(*words, '--no-check')[2]
+
+
+def test_info_tells_of_stamps_that_are_odd(starcal, bag, tmp_path):
+    assert 'stamps:' not in starcal('info', bag)[1]
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    samples, frames = gyro.next(2000), tracker.next(40)
+    path = tmp_path / 'zone.mcap'
+    with Writer(path) as writer:
+        writer.write_batches(imu_batch('/imu/data_raw', type(samples)(
+            samples.stamp_ns + 3600 * 10**9, samples.rate)),
+            centroids_batch('/star_tracker/centroids', frames))
+    assert 'stamps: gyro from' in starcal('info', path)[1]

@@ -263,7 +263,8 @@ def test_calibrations_are_saved_undone_and_begun_with(start, parameters, peer, r
     assert camera['camera_matrix']['data'][0] == pytest.approx(
         saved['intrinsics']['f_mm'] / SCENARIO.camera.pixel_pitch_mm)
     assert call('reset').message == f'started again from {tmp_path}/saved/0001'
-    calibration, inputs = peer.status()
+    calibration, inputs, check = peer.status()
+    assert (check.name, check.message) == ('starcal: check', 'not yet')
     assert calibration.message == 'no attitude yet'
     received = {item.key: item.value for item in inputs.values}['/imu/data_raw messages']
     assert (inputs.name, received) == ('starcal: inputs', '851')

@@ -1,0 +1,41 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The first minutes of a live run are checked beside it, and each kind is told once."""
+
+import time
+
+import numpy as np
+import pytest
+
+from instruments import TAN2018
+from starcal_ros.measurements.samples import GyroSamples
+from starcal_ros.simulation import sensors
+
+SCENARIO = TAN2018.replace({'simulation.duration_s': 310.0, 'motion.dwell_s': 2.0,
+                            'motion.rate_deg_s': 1.5})
+
+
+def told(first, gyro, frames):
+    """Return what is found of messages that come in ten parts."""
+    found = []
+    for k in range(10):
+        first.add_gyro(gyro[k * len(gyro) // 10:(k + 1) * len(gyro) // 10])
+        first.add_frames(frames[k * len(frames) // 10:(k + 1) * len(frames) // 10])
+        end = time.monotonic() + 60.0
+        while first._busy and time.monotonic() < end:
+            time.sleep(0.05)
+        found += first.take()
+    return found
+
+
+def test_what_is_wrong_is_told_once_and_what_is_right_not_at_all():
+    pytest.importorskip('rclpy')
+    from starcal_ros.nodes.estimator_check import FirstMinutes
+    gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
+    samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
+    right = FirstMinutes(SCENARIO)
+    assert told(right, samples, frames) == [] and right.checked.findings == ()
+    first = FirstMinutes(SCENARIO)
+    found, = told(first, GyroSamples(samples.stamp_ns, np.degrees(samples.rate)), frames)
+    assert found.kind == 'unit of the rates'
+    assert [each.kind for each in first.checked.findings] == ['unit of the rates']
