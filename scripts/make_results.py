@@ -33,7 +33,7 @@ SECTIONS = {
     'Figures of T18': r'fig\d',
     'Error budget': 'budget',
     'Open loop and feedback': 'open-loop',
-    'Models that are wrong': 'wrong-models|detection-limits',
+    'Models that are wrong': 'wrong-models|detection-limits|user-mistakes',
     'Wu et al. 2019 (W19)': 'w19-.*',
     'Self-calibration of star sensors 2024 (S24)': 's24-.*',
     'More': '.*',

@@ -21,7 +21,7 @@ from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, SQRT
 
 _NOISE_OFF = 1.3            # times or parts of a stated noise that counts
 _NAMED = 0.03               # part of a named time offset by which it may be missed
-_LONGEST_S = 0.5            # time offset that the estimator may be asked to find
+_LONGEST_S = 0.03           # time offset that the estimator can be asked to find
 
 
 def findings(outcome: TurnModel, scenario: Scenario, C_sg: Array, camera_sigma: Array,

@@ -20,7 +20,9 @@ from starcal_ros.reproduction import published
 SUMMARY = "compare with a paper's table or figure"
 DESCRIPTION = ('Run what a table or figure of a paper was made from, and put its numbers beside '
                'ours and the bound. Names without a prefix are of Tan et al. 2018; real-sky and '
-               'half-real need star images of others, in the folder STARCAL_REAL_SKY.')
+               'half-real need star images of others, in the folder STARCAL_REAL_SKY; '
+               'user-mistakes takes a recording of others, with its truth, from the folder '
+               'STARCAL_FOREIGN too.')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -177,7 +177,10 @@ def _errors(gyro: GyroSamples, frames: Frames, scenario: Scenario, truth: Nomina
     if belief is None:
         return np.nan, 'no attitude'
     estimate = belief.estimate
-    error = estimate.minus(replace(truth, C_gi=estimate.C_gi))[:N_STATES] / SCALE
+    # The attitude, and what is estimated beyond the 16 states, do not count.
+    true = replace(truth, C_gi=estimate.C_gi, augmentation=estimate.augmentation,
+                   augmented=estimate.augmented)
+    error = estimate.minus(true)[:N_STATES] / SCALE
     sigma = np.linalg.norm(belief.root[:N_STATES], axis=-1)
     return float(np.abs(error / sigma)[CALIBRATED].max()), word(calibrator)
 

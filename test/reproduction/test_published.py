@@ -18,7 +18,7 @@ from starcal_ros.evaluation import batch, bounds, montecarlo
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import CALIBRATED, PSI, STATE_NAMES, UNIT
 from starcal_ros.reproduction import published, real_images, traces
-from starcal_ros.reproduction.published import open_loop, table4
+from starcal_ros.reproduction.published import open_loop, table4, user_mistakes
 from starcal_ros.simulation.truth import Truth
 
 SCENARIO = TAN2018.replace({'simulation.duration_s': 6.0})
@@ -37,8 +37,12 @@ def outcome(request, tmp_path_factory):
     """Return what a table gives in a run that is far too short."""
     if request.param in ('real-sky', 'half-real') and not REAL_SKY.is_dir():
         pytest.skip(f'{REAL_SKY} is not there')
-    return published.load(request.param).reproduce(
-        SCENARIO, 2, tmp_path_factory.mktemp('work'), lambda part: None)
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == 'user-mistakes':        # each is checked and calibrated twice
+            patch.setattr(user_mistakes, 'ROWS', user_mistakes.ROWS[:2])
+            patch.setattr(user_mistakes, 'CLEAN_RUNS', 1)
+        return published.load(request.param).reproduce(
+            SCENARIO, 2, tmp_path_factory.mktemp('work'), lambda part: None)
 
 
 def test_rows_fill_the_columns_and_the_notes_say_what_is_missing(outcome):
