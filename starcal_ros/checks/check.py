@@ -96,7 +96,7 @@ def check(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         return Checked(tuple(found), (
             f'the turns: they are not compared with such readings ({", ".join(spoilt)})',))
     # Clocks that differ by something known: the turns tell whether they do.
-    clocks = [each for each in found if each.driver.get('frame_stamps_plus_s')]
+    clocks = [each for each in found if each.driver.get('gyro_stamps_plus_s')]
     compared, why = _compare(gyro, _moved(seen, clocks), scenario)
     if clocks and any(each.kind == 'no common motion' or each.kind == 'time offset'
                       and abs(each.value[0]) > 1e3 * _CLOCKS_S for each in compared):
@@ -107,8 +107,8 @@ def check(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         more = sum(each.driver.get('frame_stamps_plus_s', 0.0) for each in compared
                    if each.kind == 'time offset')
         compared = [each for each in compared if each.kind != 'time offset']
-        found = [replace(each, driver={'frame_stamps_plus_s':
-                                       each.driver['frame_stamps_plus_s'] + more})
+        found = [replace(each, driver={'gyro_stamps_plus_s':
+                                       each.driver['gyro_stamps_plus_s'] - more})
                  if each in clocks else each for each in found]
     say(1.0)
     return Checked((*found, *compared), tuple(why))
@@ -120,8 +120,8 @@ def _some(frames: Frames) -> Frames:
 
 
 def _moved(seen: sky.SeenSky, clocks: list[Finding]) -> sky.SeenSky:
-    shift = sum(float(each.driver['frame_stamps_plus_s']) for each in clocks)
-    return replace(seen, stamp_ns=seen.stamp_ns + round(shift * 1e9))
+    shift = sum(float(each.driver['gyro_stamps_plus_s']) for each in clocks)
+    return replace(seen, stamp_ns=seen.stamp_ns - round(shift * 1e9))
 
 
 def _compare(gyro: GyroSamples, seen: sky.SeenSky, scenario: Scenario

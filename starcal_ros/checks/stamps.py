@@ -121,7 +121,7 @@ def of_clocks(gyro_ns: Ints, frames_ns: Ints, logged: LogTimes | None = None
             yield Finding('clocks', f'gyro from {utc_text(int(gyro_ns[0]))}, frames from '
                           f'{utc_text(int(frames_ns[0]))}: different clocks{text}',
                           'driver of the gyro or of the star tracker', (shift,), (), 's',
-                          driver={'frame_stamps_plus_s': -shift} if both else {})
+                          driver={'gyro_stamps_plus_s': shift} if both else {})
     if len(frames_ns):
         yield from _dates(gyro_ns, frames_ns, logged, apart)
 

@@ -78,6 +78,9 @@ class Mistake:
         What the first finding should have; nothing where it has no number.
     bias : (3,) tuple
         What is added to the true bias [deg/h].
+    axes : (3,) tuple
+        Which axis, from 1, negative where reversed, the readings have in place of x, y, z; only
+        where the truth is then another mounting.
     """
 
     name: str
@@ -86,6 +89,13 @@ class Mistake:
     stated: Callable[[Scenario], Mapping[str, Any]] = _as_stated
     value: tuple[float, ...] = ()
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axes: tuple[int, int, int] = (1, 2, 3)
+
+    def true(self, before: Nominal) -> Nominal:
+        """Return the truth behind the messages that are spoilt."""
+        P = np.sign(self.axes)[:, None] * np.eye(3)[np.abs(self.axes) - 1]
+        return replace(before, C_sg=before.C_sg @ P.T,
+                       bias=P @ before.bias + np.array(self.bias) * DEG_PER_HOUR)
 
 
 class Judgement(NamedTuple):
@@ -124,8 +134,7 @@ def run(mistake: Mistake, source: KnownRecording, seed: int, calibrated: bool = 
     checked = check(gyro, frames, stated)
     first = [each for each in checked.findings if mistake.kinds and each.kind == mistake.kinds[0]]
     wrong = tuple(sorted({each.kind for each in checked.findings} - set(mistake.kinds)))
-    truth = replace(source.truth, bias=source.truth.bias
-                    + np.array(mistake.bias) * DEG_PER_HOUR)
+    truth = mistake.true(source.truth)
     before = after = np.nan
     words = ('-', '-')
     if calibrated:
@@ -158,8 +167,9 @@ def mended(gyro: GyroSamples, frames: Frames, findings: Iterable[Finding]) -> Me
         middle = (stamp[0] + stamp[-1]) // 2
         moved = 1e9 * todo.get('frame_stamps_plus_s', 0.0) + (stamp - middle) * todo.get(
             'frame_stamps_drift', 0.0)
-        gyro = GyroSamples(gyro.stamp_ns + np.rint((gyro.stamp_ns - middle) * todo.get(
-            'gyro_stamps_drift', 0.0)).astype(np.int64), rate)
+        later = 1e9 * todo.get('gyro_stamps_plus_s', 0.0) + (gyro.stamp_ns - middle) * todo.get(
+            'gyro_stamps_drift', 0.0)
+        gyro = GyroSamples(gyro.stamp_ns + np.rint(later).astype(np.int64), rate)
         frames = replace(frames, stamp_ns=stamp + np.rint(moved).astype(np.int64), uv_raster=uv,
                          sigma=sigma)
     return gyro, frames
@@ -361,8 +371,10 @@ ROWS = (
     Mistake('gyro y and z swapped', (AXES,), rates(lambda r: r[:, [0, 2, 1]])),
     Mistake('gyro z reversed', (AXES,), rates(lambda r: r * [1.0, 1.0, -1.0])),
     Mistake('all gyros reversed', (AXES,), rates(lambda r: -r)),
-    Mistake('gyros in the order y, z, x', (MOUNTING,), rates(lambda r: r[:, [1, 2, 0]])),
-    Mistake('gyro x and y reversed', (MOUNTING,), rates(lambda r: r * [-1.0, -1.0, 1.0])),
+    Mistake('gyros in the order y, z, x', (MOUNTING,), rates(lambda r: r[:, [1, 2, 0]]),
+            axes=(2, 3, 1)),
+    Mistake('gyro x and y reversed', (MOUNTING,), rates(lambda r: r * [-1.0, -1.0, 1.0]),
+            axes=(-1, -2, 3)),
     Mistake('deg/s, and z reversed', (UNIT, AXES), rates(lambda r: r * [_DEG, _DEG, -_DEG])),
     Mistake('bias of 98, -20, 41 deg/h', ('bias',),
             rates(lambda r: r + np.array([98.0, -20.0, 41.0]) * DEG_PER_HOUR),

@@ -63,7 +63,7 @@ def test_clocks_that_differ_are_told_and_those_that_overlap_are_not():
     assert list(of_clocks(STAMPS[500:], FRAMES)) == []              # one that began later
     found, = of_clocks(STAMPS + 3600 * 10**9, FRAMES)
     assert found.kind == 'clocks' and 'a time zone' in found.sentence
-    assert found.driver == {'frame_stamps_plus_s': 3600.0}
+    assert found.driver == {'gyro_stamps_plus_s': -3600.0}
     boot, = of_clocks(STAMPS - BEGIN + 10**10, FRAMES)
     assert boot.kind == 'clocks' and '1970-01-01T00:00:10' in boot.sentence
 
