@@ -142,10 +142,7 @@ class Calibrator:
         self._gyro = GyroBuffer()
         self._frames = Frames.empty()                   # that wait for the gyro
         self._newest_frame_ns = NEVER_NS
-        self.consistency = ModelTests(
-            self.filter, self._scenario.estimator.gate_probability,
-            scores=self.noise.scores(self.filter, self._scenario.estimator))
-        self.consistency.noise_known = self.noise.known
+        self.consistency = self._tests()
         self._rejected_in_a_row = self._torn_in_a_row = 0
         self._lost = False                              # the attitude, before this frame
         self._recent: deque[tuple[int, Array, int]] = deque()
@@ -156,6 +153,12 @@ class Calibrator:
         self._scenario = replace(self._scenario, estimator=options)
         self.filter = self._tracker.filter = self._filter()
         self._patience = options.reacquire_after_frames
+
+    def _tests(self) -> ModelTests:
+        tests = ModelTests(self.filter, self._scenario.estimator.gate_probability,
+                           scores=self.noise.scores(self.filter, self._scenario.estimator))
+        tests.noise_known = self.noise.known
+        return tests
 
     def _filter(self) -> Filter:
         return Filter(self.noise.stated_in(self._scenario), self._covariance).walking(
@@ -354,7 +357,7 @@ class Calibrator:
         """Doubt all but the calibration believed so far: attitude, and tests of the model."""
         self._rejected_in_a_row = self._patience
         self._torn_in_a_row = 0
-        self.consistency = ModelTests(self.filter, self._scenario.estimator.gate_probability)
+        self.consistency = self._tests()
 
     def _integrated(self, samples: GyroSamples, cuts: Ints, about: Nominal) -> Preintegrated:
         return preintegration.preintegrate(
