@@ -127,7 +127,7 @@ def _moved(seen: sky.SeenSky, clocks: list[Finding]) -> sky.SeenSky:
 def _compare(gyro: GyroSamples, seen: sky.SeenSky, scenario: Scenario
              ) -> tuple[list[Finding], list[str]]:
     """Compare the turns."""
-    gyro = gyro.take(gyro.finite)
+    gyro = gyro.take(gyro.plausible(readings.LARGEST_RATE))
     gyro = gyro.take(sky.newer(gyro.stamp_ns))
     turns = of_stars(seen)
     if len(gyro) < 2 * LEAST or len(turns) < LEAST:

@@ -17,6 +17,7 @@ from starcal_ros.measurements.samples import GyroSamples
 _LEAST = 100
 _REPEATED = 0.02        # part of the readings that are the one before again
 _FROZEN_S = 2.0
+LARGEST_RATE = 1e9     # of a reading in whatever unit; beyond, it is no number
 _AT_LIMIT = 0.003       # part of the readings at the largest
 _IN_A_ROW = 5
 _LEVELS = 4096          # different readings, at most, of one that is coarse
@@ -27,7 +28,7 @@ _DRIVER = 'driver of the gyro'
 
 def of_readings(gyro: GyroSamples, scenario: Scenario) -> Iterator[Finding]:
     """Yield what is wrong with the readings, whatever the stars say."""
-    bad = ~gyro.finite
+    bad = ~gyro.plausible(LARGEST_RATE)
     if bad.any():
         yield Finding('not finite', f'{int(bad.sum())} of {len(gyro)} gyro readings are not '
                       'finite numbers', _DRIVER)
