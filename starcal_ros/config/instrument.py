@@ -64,7 +64,8 @@ class StarTrackerConfig:
     smear: Annotated[bool, Spec(
         'Stars trail while the exposure lasts, and the sigma of a centroid is that of a star at '
         'rest: its noise grows along the trail; false where that sigma holds the trail already, '
-        'as that of the centroid_extractor does')] = True
+        'as that of the centroid_extractor does; taken for false where the data deny it beyond '
+        'doubt')] = True
     least_sigma_px: Annotated[float, Spec(
         'Least standard deviation of a centroid that a recording is believed, where '
         'centroid_sigma_px is not less', 'px', 0.0, 100.0)] = 0.005

@@ -32,6 +32,7 @@ from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.noise import Noise, noise_of
 from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
+from starcal_ros.filter.trail import TrailTest
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.gyro_buffer import GyroBuffer
 from starcal_ros.measurements.intake import FRAMES_KEPT, GYRO_KEPT_NS, Change, Intake
@@ -135,7 +136,9 @@ class Calibrator:
     def _begin(self, restarts: int) -> None:
         self._density = np.zeros(CALIBRATED.stop - CALIBRATED.start)    # of drifts that were seen
         self.noise.begin()
+        self._trailing = True                           # stars, as far as is known
         self.filter = self._filter()
+        self._trail_test = TrailTest(self.filter.trails)
         self.counts = Counts(restarts=restarts)
         self.belief: Belief | None = None
         self.stamp_ns = 0                               # of the last frame processed
@@ -161,8 +164,9 @@ class Calibrator:
         return tests
 
     def _filter(self) -> Filter:
-        return Filter(self.noise.stated_in(self._scenario), self._covariance).walking(
+        whole = Filter(self.noise.stated_in(self._scenario), self._covariance).walking(
             self._density)
+        return whole if self._trailing else whole.untrailed()
 
     # Coming in
 
@@ -342,6 +346,8 @@ class Calibrator:
                 self._set_back()
                 continue
             self.belief = answered
+            if self._trail_test.denies(self.filter, belief.nominal, frame, update):
+                self._rest(stamp_ns)
             if self.noise.settle(self.consistency):
                 self.filter = self._tracker.filter = self._filter()
             usable = np.isfinite(stars.sigma[rows])
@@ -352,6 +358,14 @@ class Calibrator:
                               frames.catalog_id[rows], float(update.nis),
                               bool(update.linear), track)
         self._gyro.forget_before(self.stamp_ns)
+
+    def _rest(self, stamp_ns: int) -> None:
+        """Take the stars for such as do not trail; what was judged so far does not count."""
+        self._trailing = False
+        self.filter = self._tracker.filter = self._filter()
+        self.consistency = self._tests()
+        self._notices.say(f'stars do not trail while the camera turns, up to {stamp_ns} ns: '
+                          'star_tracker.smear is taken for false from then on')
 
     def _set_back(self) -> None:
         """Doubt all but the calibration believed so far: attitude, and tests of the model."""

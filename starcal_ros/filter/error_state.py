@@ -186,6 +186,17 @@ class Filter:
         changed.density = np.hypot(self.density, density * SCALE[CALIBRATED])
         return changed
 
+    @property
+    def trails(self) -> bool:
+        """Whether stars are taken to trail while the camera turns."""
+        return self._trail_s > 0.0
+
+    def untrailed(self) -> Filter:
+        """Return the filter for stars that do not trail."""
+        changed = copy(self)
+        changed._trail_s = 0.0
+        return changed
+
     def opened(self, belief: Belief, error: Array, columns: Array) -> Belief:
         """Return a belief freed of an error, its covariance opened.
 
