@@ -16,7 +16,7 @@ import numpy as np
 
 from starcal_ros.checks import axes, explanations, from_sky, from_turns, readings, sky, stamps
 from starcal_ros.checks.finding import Finding
-from starcal_ros.checks.likelihood import Noise
+from starcal_ros.checks.likelihood import StatedNoise
 from starcal_ros.checks.stamps import known_difference
 from starcal_ros.checks.turns import LEAST, Gyro, Running, covered, of_stars
 from starcal_ros.config.models import mounting_matrix
@@ -150,7 +150,7 @@ def _compare(gyro: GyroSamples, seen: sky.SeenSky, scenario: Scenario
     turns = covered(turns, samples, abs(rough.lag_s) + _MARGIN_S)
     if len(turns) < LEAST:
         return findings, ['bias, stamps and noise: too few intervals are covered by readings']
-    noise = Noise(
+    noise = StatedNoise(
         max(scenario.gyro.arw_deg_sqrt_h, _LEAST_WALK) * DEG_PER_SQRT_HOUR,
         scenario.estimator.process_noise.gyro_bias_deg_h_sqrt_h * DEG_PER_HOUR / SQRT_HOUR)
     try:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from starcal_ros.checks.finding import beyond_chance
-from starcal_ros.checks.likelihood import WAVES, Comparison, EffectSizes, Noise
+from starcal_ros.checks.likelihood import WAVES, Comparison, EffectSizes, StatedNoise
 from starcal_ros.checks.turns import Gyro, Turns
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
@@ -91,7 +91,7 @@ class Model(NamedTuple):
     """Effects taken in, and the noise."""
 
     effects: tuple[Explanation, ...]
-    noise: Noise
+    noise: StatedNoise
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -203,7 +203,7 @@ def _about(row: int, apart: int, count: int) -> tuple[Ints, int]:
     return np.maximum(row + closer * (np.arange(count) - count // 2), 1), closer
 
 
-def explain(turns: Turns, gyro: Gyro, C_sg: Array, bias: Array, lag_s: float, stated: Noise
+def explain(turns: Turns, gyro: Gyro, C_sg: Array, bias: Array, lag_s: float, stated: StatedNoise
             ) -> TurnModel:
     """Find what explains the turns beyond a mounting and a bias near those given.
 
@@ -219,7 +219,7 @@ def explain(turns: Turns, gyro: Gyro, C_sg: Array, bias: Array, lag_s: float, st
         Bias to begin with [rad/s].
     lag_s : float
         Time offset to begin with [s].
-    stated : Noise
+    stated : StatedNoise
         As stated.
     """
     at = np.zeros(_WIDTH)
@@ -330,7 +330,7 @@ def _cost(comparison: Comparison, model: Model) -> float:
     return comparison.fit(model.columns, model.noise).minus_2_log
 
 
-def _best_noise(comparison: Comparison, model: Model, kind: str) -> tuple[float, Noise]:
+def _best_noise(comparison: Comparison, model: Model, kind: str) -> tuple[float, StatedNoise]:
     """Return the least cost for any size of one noise, and the noise."""
     stated = model.noise
     unit = 1.0 if kind == 'stamps' else max(stated.walk, 1e-9)
@@ -357,7 +357,7 @@ def _with(comparison: Comparison, model: Model, effect: Explanation) -> tuple[fl
     return _cost(comparison, more), more
 
 
-def _selected(comparison: Comparison, stated: Noise) -> Model:
+def _selected(comparison: Comparison, stated: StatedNoise) -> Model:
     """Take effects in, the one that is worth most first, and leave out what is not needed."""
     model = Model((), stated)
     for _ in range(_MOST):
@@ -385,7 +385,8 @@ def _settled(comparison: Comparison, model: Model) -> Model:
     return model
 
 
-def _without(comparison: Comparison, model: Model, effect: Explanation, stated: Noise) -> Model:
+def _without(comparison: Comparison, model: Model, effect: Explanation, stated: StatedNoise
+             ) -> Model:
     effects = tuple(each for each in model.effects if each is not effect)
     noise = model.noise
     if effect.noise:
@@ -393,7 +394,7 @@ def _without(comparison: Comparison, model: Model, effect: Explanation, stated: 
     return _settled(comparison, Model(effects, noise))
 
 
-def _pruned(comparison: Comparison, model: Model, stated: Noise) -> Model:
+def _pruned(comparison: Comparison, model: Model, stated: StatedNoise) -> Model:
     for effect in model.effects:
         less = _without(comparison, model, effect, stated)
         fresh = len(model.columns) - len(less.columns) + bool(effect.noise)
@@ -403,7 +404,7 @@ def _pruned(comparison: Comparison, model: Model, stated: Noise) -> Model:
     return model
 
 
-def _explained(comparison: Comparison, model: Model, fit: EffectSizes, stated: Noise
+def _explained(comparison: Comparison, model: Model, fit: EffectSizes, stated: StatedNoise
                ) -> list[Explained]:
     """Return each effect with its sizes, what it is worth, and what else would do."""
     found = []

@@ -36,7 +36,7 @@ WAVES = 32
 _BAND = 5               # below the diagonal
 
 
-class Noise(NamedTuple):
+class StatedNoise(NamedTuple):
     """N, K and T of Eq. (K.3), in SI units."""
 
     walk: float
@@ -89,7 +89,7 @@ class Comparison:
         self._W = np.concatenate((columns, Z, y[..., None]), axis=-1).reshape(3 * len(y), -1)
         self._whitened: dict[tuple[float, float], tuple[Array, float]] = {}
 
-    def fit(self, chosen: Sequence[int], noise: Noise) -> EffectSizes:
+    def fit(self, chosen: Sequence[int], noise: StatedNoise) -> EffectSizes:
         """Return the most likely sizes of some of the effects."""
         G, log_det = self._gram(noise.walk, noise.stamps)
         p, last = self._count, len(G) - 1
@@ -111,7 +111,7 @@ class Comparison:
         m = len(chosen)
         return EffectSizes(beta[:m], inverse[:m, :m], left + log_det)
 
-    def outliers(self, chosen: Sequence[int], noise: Noise, count: int) -> Ints:
+    def outliers(self, chosen: Sequence[int], noise: StatedNoise, count: int) -> Ints:
         """Return the intervals that some effects explain least, `count` of them at most."""
         fit = self.fit(chosen, noise)
         left = self._W[:, -1] - self._W[:, list(chosen)] @ fit.beta

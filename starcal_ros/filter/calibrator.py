@@ -166,6 +166,9 @@ class Calibrator:
     def _filter(self) -> Filter:
         whole = Filter(self.noise.stated_in(self._scenario), self._covariance).walking(
             self._density)
+        self._as_linear = not self.noise.known
+        if self._as_linear:             # the sigmas are not: nothing can be held against them
+            whole = whole.as_linear()
         return whole if self._trailing else whole.untrailed()
 
     # Coming in
@@ -348,7 +351,8 @@ class Calibrator:
             self.belief = answered
             if self._trail_test.denies(self.filter, belief.nominal, frame, update):
                 self._rest(stamp_ns)
-            if self.noise.settle(self.consistency):
+            found = self.noise.settle(self.consistency)
+            if found or self.noise.known == self._as_linear:
                 self.filter = self._tracker.filter = self._filter()
             usable = np.isfinite(stars.sigma[rows])
             self._account(update, usable)

@@ -142,6 +142,7 @@ class Filter:
         self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
         self.gate = star_gate(options)
         self.feedback = options.feedback
+        self.taken_as_linear = not options.feedback         # as the paper's filter does
         self.augmentation = Augmentation.of(options.augment)
         self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
                              mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
@@ -195,6 +196,12 @@ class Filter:
         """Return the filter for stars that do not trail."""
         changed = copy(self)
         changed._trail_s = 0.0
+        return changed
+
+    def as_linear(self) -> Filter:
+        """Return the filter that takes its model of a frame for exact, whatever is uncertain."""
+        changed = copy(self)
+        changed.taken_as_linear = True
         return changed
 
     def opened(self, belief: Belief, error: Array, columns: Array) -> Belief:
@@ -378,7 +385,7 @@ class Filter:
         H_white, innovations = self.whitened(belief.nominal, H, z - _apply(H, belief.error))
         usable = in_view & np.isfinite(stars.sigma)
         left_out = np.zeros_like(stars.sigma)
-        if gated and self.feedback:
+        if gated and not self.taken_as_linear:
             left_out = self._left_out(belief, stars, usable)
         # Not a bit differs where nothing is left out.
         sigma = np.hypot(stars.sigma, left_out) if left_out.any() else stars.sigma

@@ -5,7 +5,7 @@
 import numpy as np
 from scipy.linalg import block_diag
 
-from starcal_ros.checks.likelihood import Comparison, Noise
+from starcal_ros.checks.likelihood import Comparison, StatedNoise
 from starcal_ros.checks.turns import Turns
 from starcal_ros.core import rotation
 
@@ -47,7 +47,7 @@ def test_effects_and_likelihood_are_those_of_generalised_least_squares():
         covariance = np.linalg.inv(A.T @ inverse @ A)
         beta = covariance @ A.T @ inverse @ b
         left = b - A @ beta
-        fit = comparison.fit(chosen, Noise(walk))
+        fit = comparison.fit(chosen, StatedNoise(walk))
         np.testing.assert_allclose(fit.beta, beta, rtol=1e-6)
         np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-6)
         np.testing.assert_allclose(fit.minus_2_log, left @ inverse @ left
@@ -68,6 +68,7 @@ def test_a_bias_that_walks_is_a_sum_of_waves():
     covariance = K**2 * span * (waves / (order * np.pi)**2) @ waves.T
     V = dense(of, walk) + np.kron(covariance, np.eye(3))
     value = y.ravel() @ np.linalg.solve(V, y.ravel()) + np.linalg.slogdet(V)[1]
-    np.testing.assert_allclose(comparison.fit([], Noise(walk, K)).minus_2_log, value, rtol=1e-9)
+    np.testing.assert_allclose(
+        comparison.fit([], StatedNoise(walk, K)).minus_2_log, value, rtol=1e-9)
     # As many waves are a random walk: of variance K^2 t, but for the first intervals.
     np.testing.assert_allclose(np.diag(covariance), K**2 * since, rtol=0.2)

@@ -491,9 +491,9 @@ def test_time_offset_removes_the_bias_that_it_is_for(tau, late):
 
 
 def test_estimates_of_all_26_states_are_consistent():
-    """Mean NEES of 30 runs, through rotations about two axes, in its 99.9 % interval."""
+    """Mean NEES of 16 runs, through rotations about two axes, in its 99.9 % interval."""
     nees = []
-    for seed in range(30):
+    for seed in range(16):
         run = Run(BOTH_ON, 200.0, seed=seed, draw=True)
         nees.append(run.calibrator.belief.nees(run.truth))
     low, high = chi2.ppf([0.0005, 0.9995], 26 * len(nees)) / len(nees)
