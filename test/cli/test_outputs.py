@@ -156,8 +156,10 @@ def test_each_result_of_a_calibration_is_asked_for_and_then_replaced(capsys, bag
     assert not list(tmp_path.rglob('.*'))
 
 
+# Nor would Python's own cache be whole: a module that is new here would be spoilt for all others.
 FULL = """
 import resource, sys
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
 from starcal_ros.cli import main
 sys.exit(main(sys.argv[2:]))

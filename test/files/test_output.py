@@ -5,6 +5,7 @@
 import errno
 import os
 import resource
+import sys
 import stat
 
 import pytest
@@ -14,8 +15,9 @@ from starcal_ros.files.output import OutputError, same, whole, write_text
 
 
 @pytest.fixture
-def file_limit():
+def file_limit(monkeypatch):
     """Let no file grow beyond 64 kB, as on a disk that is full."""
+    monkeypatch.setattr(sys, 'dont_write_bytecode', True)       # a cache would not be whole
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, before[1]))
     yield

@@ -100,8 +100,9 @@ def test_a_folder_that_is_removed_ends_the_recorder_with_status_1(start, peer, t
 
 
 def test_a_full_disk_ends_the_recorder_alone_and_what_is_on_it_can_be_read(
-        start, peer, tmp_path):
+        start, peer, tmp_path, monkeypatch):
     """In one process with an estimator, which goes on: it answers and ends when it is asked."""
+    monkeypatch.setenv('PYTHONDONTWRITEBYTECODE', '1')      # Python's cache would not be whole
     process, path = recording(start, tmp_path, name='composed', names=['recorder', 'estimator'])
     peer.until(lambda: peer.gyro.get_subscription_count() == 2)
     publish(peer, 0, 200)

@@ -127,17 +127,32 @@ def test_advice_is_shown_once(message, shown):
 
 
 @pytest.fixture(scope='module')
-def shown(tmp_path_factory):
+def processes():
+    """Return a function that starts a process; what is left of them is killed at the end."""
+    started = []
+
+    def start(*words, **options):
+        started.append(subprocess.Popen(*words, **options))
+        return started[-1]
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope='module')
+def shown(tmp_path_factory, processes):
     """Return what a terminal shows that is opened when a run is over, and the status."""
     pytest.importorskip('rclpy')
     parameters = tmp_path_factory.mktemp('watch') / 'scenario.yaml'
     parameters.write_text(parameter_file.dump(SCENARIO))
     estimator, *simulators = (
-        subprocess.Popen(live_run.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
+        processes(live_run.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
         for name in ('estimator', 'star_tracker_sim', 'gyro_sim'))
     assert [simulator.wait(PATIENCE_S) for simulator in simulators] == [0, 0]
     ours, theirs = pty.openpty()
-    watch = subprocess.Popen(
+    watch = processes(
         [sys.executable, '-m', 'starcal_ros.cli', 'watch'], stdin=theirs, stdout=theirs,
         env={**os.environ, 'TERM': 'xterm', 'COLUMNS': '100', 'LINES': '40'})
     os.close(theirs)
