@@ -166,12 +166,13 @@ class ModelTests:
         variance = np.einsum('...i,...i->...', said.M, said.M)
         values = np.linalg.eigvalsh(N)
         # Stars at one place tell no roll.
-        judged = ((used > 2) & (update.spread < SPREAD) & update.linear
+        judged = ((used > 2) & (update.spread < SPREAD)
                   & (values[..., 0] > _BLIND * values[..., -1]) & np.isfinite(update.nis))
         d = np.zeros((*said.z.shape, self._responses.E.shape[-1]))
         d[..., :WIDTH * len(HYPOTHESES)] = hypotheses.direct(
             said, predicted, Sight(stars.u_i, stars.uv, magnitude, self._half))
         self._responses.meet(said, d, np.asarray(judged))
+        judged = judged & update.linear         # whose scatter is not what is stated
         root = update.belief.root
         self._sigma = np.sqrt(np.einsum('...ij,...ij->...i', root, root))
         normal = (said.z / np.sqrt(1.0 + variance)).reshape(*update.accepted.shape, 2)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from starcal_ros.messages.cdr import ENCAPSULATION, HEADER, by_byte_order, gather
+from starcal_ros.messages.cdr import frame_id
 from starcal_ros.recording.bag import open_bag
 
 
@@ -16,16 +16,9 @@ def first_frame_id(path: str | Path, topic: str) -> str | None:
     Raises
     ------
     RecordError
-        If the path holds no recording, or the message is not plain CDR.
+        If the path holds no recording, or is damaged.
     """
     for _, _, messages, _ in open_bag(Path(path)).messages([topic]):
-        for rows, order in by_byte_order(messages):
-            if rows[0]:
-                continue
-            begin = int(messages.start[0]) + ENCAPSULATION
-            header = gather(messages.data, messages.start[:1] + ENCAPSULATION,
-                            HEADER.newbyteorder(order))
-            begin += HEADER.itemsize
-            text = messages.data[begin:begin + int(header['frame_id_length'][0])]
-            return text.tobytes().rstrip(b'\0').decode(errors='replace')
+        begin, size = int(messages.start[0]), int(messages.size[0])
+        return frame_id(messages.data[begin:begin + size].tobytes())
     return None

@@ -103,7 +103,7 @@ def test_images_lead_to_an_attitude_and_to_the_right_numbers(start, parameters, 
 
     # The numbers: each is that of the star that is there, and most stars of the truth have one.
     np.testing.assert_array_equal(found.stamp_ns, expected.stamp_ns)
-    deep, named_of_bright = sky(), []
+    deep = sky()
     for k in range(FRAMES):
         mine, all_stars = found[k:k + 1], deep[k:k + 1]
         named = mine.catalog_id > 0
@@ -112,9 +112,7 @@ def test_images_lead_to_an_attitude_and_to_the_right_numbers(start, parameters, 
         miss = mine.uv_raster[named] - all_stars.uv_raster[row]
         assert np.linalg.norm(miss, axis=1).max() < 2.0
         bright = expected[k:k + 1].catalog_id
-        named_of_bright.append(np.isin(bright, mine.catalog_id))
-        assert named_of_bright[-1].mean() > 0.7
-    assert np.concatenate(named_of_bright).mean() > 0.85
+        assert np.isin(bright, mine.catalog_id).mean() > 0.85
     assert (found.catalog_id > 0).mean() > 0.9
 
     # The attitude is that of the truth.
