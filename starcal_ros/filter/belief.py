@@ -68,12 +68,23 @@ class Nominal:
         turn = rotation.exp(-np.stack((error[..., THETA], error[..., PSI])))
         C_sg = rotation.orthonormalized(turn[1] @ self.C_sg)
         C_gi = rotation.orthonormalized(np.swapaxes(C_sg, -1, -2) @ turn[0] @ self.C_si)
-        augmented = [state.freed(self.augmented[..., place], error[..., among], self.C_sg)
-                     for state, place, among in self.augmentation.errors()]
-        return replace(
-            self, C_gi=C_gi, bias=self.bias - error[..., EPSILON], C_sg=C_sg,
-            intrinsics=self.intrinsics - error[..., LENS],
-            augmented=np.concatenate(augmented, axis=-1) if augmented else self.augmented)
+        return self.set_to(C_gi, self.bias - error[..., EPSILON], C_sg,
+                           self.intrinsics - error[..., LENS], error)
+
+    def at(self, C_gi: Array, reading: Array) -> Nominal:
+        """Return these values with the attitude and the reading of another time."""
+        return Nominal(C_gi, self.bias, self.C_sg, self.intrinsics, self.augmented, reading,
+                       self.augmentation)
+
+    def set_to(self, C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array
+               ) -> Nominal:
+        """Return these values freed of an error, those of T18's states being known already."""
+        augmented = self.augmented
+        if self.augmentation.on:
+            augmented = np.concatenate([
+                state.freed(augmented[..., place], error[..., among], self.C_sg)
+                for state, place, among in self.augmentation.errors()], axis=-1)
+        return Nominal(C_gi, bias, C_sg, intrinsics, augmented, self.reading, self.augmentation)
 
     def minus(self, truth: Nominal) -> Array:
         """Return the error (..., 16 + m) of these values, its attitude part theta."""
@@ -145,8 +156,7 @@ class Belief:
     @property
     def sigma(self) -> Array:
         """Standard deviation of T18's states, (..., 16), in the filter's units."""
-        root = self.state_root
-        return np.sqrt(np.einsum('...ij,...ij->...i', root, root))
+        return kalman.sigma_of(self.state_root)
 
     @property
     def augmented_sigma(self) -> Array:
@@ -162,8 +172,9 @@ class Belief:
     def is_finite(self) -> bool:
         """Whether all that is believed is a number."""
         now = self.nominal
-        return bool(all(np.isfinite(part).all() for part in (
-            self.root, self.error, now.C_gi, now.C_sg, now.bias, now.intrinsics, now.augmented)))
+        # A sum of numbers is a number, as long as they are not as large as numbers can be.
+        return bool(np.isfinite(sum(part.sum() for part in (
+            self.root, self.error, now.C_gi, now.C_sg, now.bias, now.intrinsics, now.augmented))))
 
     def nees(self, truth: Nominal) -> Array:
         """Return the normalised estimation error squared, (...), of n degrees of freedom."""

@@ -25,16 +25,51 @@ from __future__ import annotations
 import numpy as np
 
 from starcal_ros.core import camera, rotation
-from starcal_ros.core.arrays import Array
+from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.camera import Detector
 
 REPEATS = 1000.0
 """Number of frames, 500 s at 2 Hz, that may share what the model leaves out."""
 
-_MATTERS = 0.1          # part of the sigma of a centroid up to which the term is left out
+MATTERS = 0.1
+"""Part of the sigma of a centroid up to which the term is left out."""
+
 _STEP = 1e-3            # of the differences, relative to SCALE below
 _SCALE = np.array([*(1e-2,) * 3, *(1e3 * camera.INTRINSICS_SCALE)])
 _RAYS = 8
+
+
+def _narrowed(spread: Array, sigma_px: Array, shift: Array, px: Array) -> Array:
+    """Return the part of the attitude's sigmas, (..., 3), by which it errs unseen.
+
+    The attitude is one that fits the stars: it errs by what the camera moves them.
+    """
+    finest = sigma_px.min(axis=-1, initial=np.inf)
+    moved = np.sum(shift * spread[..., 3:], axis=-1) + np.where(
+        np.isfinite(finest), finest, 0.0)
+    return np.asarray(np.minimum(1.0, (moved * px)[..., None] / np.maximum(
+        spread[..., :3], 1e-300)))
+
+
+def bends(spread: Array, sigma_px: Array, shift: Array, largest: Array, px: Array) -> Mask:
+    """Tell where what a frame leaves out may matter, by a bound, (...).
+
+    Parameters
+    ----------
+    spread : (..., 10) array
+        Standard deviations of turn [rad] and intrinsics.
+    sigma_px : (..., n) array
+        Of the centroids; infinite for what is not used.
+    shift, largest : arrays
+        See `Curvature`.
+    px : (...) array
+        Angle of a pixel at the centre [rad].
+    """
+    part = _narrowed(spread, sigma_px, shift, px)
+    spread = np.concatenate((part * spread[..., :3], spread[..., 3:]), axis=-1)
+    bound = np.einsum('...i,ij,...j->...', spread, largest, spread)
+    return np.asarray(np.sqrt(REPEATS / 2.0) * bound > MATTERS * sigma_px.min(
+        axis=-1, initial=np.inf))
 
 
 class Curvature:
@@ -47,6 +82,13 @@ class Curvature:
     detector : Detector
     intrinsics : (7,) array
         Nominal camera.
+
+    Attributes
+    ----------
+    largest : (10, 10) array
+        Bound of the second derivatives over the detector.
+    shift : (7,) array
+        Bound of the derivatives by the intrinsics.
     """
 
     def __init__(self, detector: Detector, intrinsics: Array) -> None:
@@ -58,8 +100,8 @@ class Curvature:
         H = self._jacobian(r_s, intrinsics)
         bent = self._bent(r_s, intrinsics, H, np.diag(_STEP * _SCALE)) / (_STEP * _SCALE)[
             :, None, None, None]
-        self._largest = np.abs(np.moveaxis(bent, 0, -1)).max(axis=(0, 1))       # (10, 10)
-        self._shift = np.abs(H[..., 3:]).max(axis=(0, 1))                       # (7,)
+        self.largest = np.abs(np.moveaxis(bent, 0, -1)).max(axis=(0, 1))       # (10, 10)
+        self.shift = np.abs(H[..., 3:]).max(axis=(0, 1))                       # (7,)
 
     def left_out(self, r_s: Array, intrinsics: Array, root: Array, sigma_px: Array) -> Array:
         """Return the standard deviation of what a frame repeats of Eq. (U.1).
@@ -81,22 +123,13 @@ class Curvature:
             The larger of both coordinates [px]; exactly zero where it does not matter.
         """
         spread = np.sqrt(np.einsum('...ij,...ij->...i', root, root))
-        # The attitude is one that fits the stars: it errs by what the camera moves them.
-        finest = sigma_px.min(axis=-1, initial=np.inf)
-        moved = np.sum(self._shift * spread[..., 3:], axis=-1) + np.where(
-            np.isfinite(finest), finest, 0.0)
-        most = (moved * self._pitch_mm / intrinsics[..., 2])[..., None]
-        narrowed = np.minimum(1.0, most / np.maximum(spread[..., :3], 1e-300))
-        spread = np.concatenate((narrowed * spread[..., :3], spread[..., 3:]), axis=-1)
-        bound = np.einsum('...i,ij,...j->...', spread, self._largest, spread)
-        if not (np.sqrt(REPEATS / 2.0) * bound > _MATTERS * finest).any():
-            return np.zeros(sigma_px.shape)
+        narrowed = _narrowed(spread, sigma_px, self.shift, self._pitch_mm / intrinsics[..., 2])
         root = np.concatenate((narrowed[..., None] * root[..., :3, :], root[..., 3:, :]), axis=-2)
         root = np.swapaxes(np.linalg.qr(np.swapaxes(root, -1, -2), mode='r'), -1, -2)
         bent = self._bent(r_s, intrinsics, self._jacobian(r_s, intrinsics),
                           np.swapaxes(root, -1, -2)) @ root[..., None, None, :, :]
         variance = 0.5 * REPEATS * np.sum(bent * bent, axis=(-4, -1)).max(axis=-1)
-        return np.where(variance > (_MATTERS * sigma_px)**2, np.sqrt(variance), 0.0)
+        return np.where(variance > (MATTERS * sigma_px)**2, np.sqrt(variance), 0.0)
 
     def _jacobian(self, r_s: Array, intrinsics: Array) -> Array:
         _, H_s, H_lens = camera.linearize(r_s, intrinsics, self._pitch_mm)

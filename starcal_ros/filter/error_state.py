@@ -65,18 +65,17 @@ import numpy as np
 from starcal_ros.config.models import (detector, intrinsics, mounting_matrix, of_calibrated,
                                        star_gate)
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import camera, kalman, rotation
+from starcal_ros.core import camera, kalman
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.units import DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, SQRT_HOUR
-from starcal_ros.filter import process_noise
+from starcal_ros.filter import arithmetic, reference
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.curvature import Curvature
-from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, SCALE, THETA, UNIT
+from starcal_ros.filter.states import CALIBRATED, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
-_SEEN = [*range(THETA.start, THETA.stop), *range(LENS.start, LENS.stop)]
 _FIELD = 1.5            # a star may be predicted this far out, in halves of the detector
 
 SIGMA_ACQUIRED = 1.0 * DEG
@@ -246,39 +245,27 @@ class Filter:
 
     def propagated(self, belief: Belief, gyro: Preintegrated) -> tuple[Belief, Array]:
         """Do as `propagate`, and return the transition of the scaled errors, (..., n, n), too."""
-        nominal, batch, n = belief.nominal, belief.error.shape[:-1], belief.error.shape[-1]
+        nominal, batch = belief.nominal, belief.error.shape[:-1]
         d = nominal.bias - (nominal.bias if gyro.bias is None else gyro.bias)
-        d, J_b = _times(gyro.gain, d), gyro.J[..., :3]
+        slopes = np.zeros((*batch, 3, nominal.augmentation.size))
+        J_b = gyro.J[..., :3]
+        if nominal.augmentation.on:
+            d = _times(gyro.gain, d)
         turn = _times(J_b, d)
-        slopes: list[tuple[slice, Array]] = []
-        for state, place, among in nominal.augmentation.errors():
+        for state, place, _ in nominal.augmentation.errors():
             turned = state.turned(gyro.J, d, nominal.augmented[..., place], nominal.C_sg,
                                   gyro.gain)
             if turned is not None:
-                turn, J_b = turn + turned.turn, turned.J_b
-                slopes.append((among, turned.J))
-        Delta = gyro.Delta @ rotation.exp(turn)
-        C_gi = rotation.orthonormalized(Delta @ nominal.C_gi)
-        C_s1g0 = nominal.C_sg @ Delta
-        C_s1s0 = C_s1g0 @ np.swapaxes(nominal.C_sg, -1, -2)
-        Phi = np.zeros((*batch, n, n))
-        Phi[..., range(n), range(n)] = 1.0
-        Phi[..., THETA, THETA] = C_s1s0
-        Phi[..., THETA, PSI] = np.eye(3) - C_s1s0
-        Phi[..., THETA, EPSILON] = B = C_s1g0 @ J_b
-        for among, J in slopes:
-            Phi[..., THETA, among] = C_s1g0 @ J
-        error = _times(Phi, belief.error)
+                turn, J_b, slopes[..., place] = turn + turned.turn, turned.J_b, turned.J
         sigma = np.sqrt(self.walk**2 * gyro.duration
                         + (self.gap_acceleration * gyro.gap_turn)**2)
-        Q_root = np.zeros((*batch, n, 3))
-        Q_root[..., range(3), range(3)] = (sigma / SCALE[0])[..., None]
-        if self.density.any():
-            Q_root = np.concatenate((Q_root, process_noise.root(
-                self.density, B, gyro.duration, n) / nominal.augmentation.scale[:, None]), axis=-1)
-        Phi = Phi * nominal.augmentation.rescale
-        return Belief(replace(nominal, C_gi=C_gi, reading=gyro.reading), error,
-                      kalman.predict(belief.root, Phi, Q_root)), Phi
+        runs = arithmetic.LeadingAxes(batch)
+        after = arithmetic.propagate(
+            runs(nominal.C_gi, 2), runs(nominal.C_sg, 2), runs(belief.error, 1),
+            runs(belief.root, 2), runs(gyro.Delta, 2), runs(turn, 1), runs(J_b, 2),
+            runs(slopes, 2), runs(sigma, 0), runs(gyro.duration, 0), self.density, self.scale)
+        C_gi, error, root, Phi = (runs.back(part) for part in after)
+        return Belief(nominal.at(C_gi, gyro.reading), error, root), Phi
 
     def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
         """Return the predicted centroids and their derivatives by the states (T18 Eq. 24).
@@ -299,21 +286,8 @@ class Filter:
         in_view : (..., n) bool array
             False for a star that lies well outside the field of view; its row means nothing.
         """
-        C_si, shift, slopes = self._seen(nominal)
-        r_s = u_i @ np.swapaxes(C_si, -1, -2)
-        # Far outside the field the distortion means nothing, and its uncertainty everything.
-        in_view = r_s[..., 2] > self._cos_field * np.sqrt(np.sum(r_s * r_s, axis=-1))
-        if not in_view.all():
-            r_s = np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0))
-        uv, H_s, H_intrinsics = camera.linearize(r_s, nominal.intrinsics, self.detector.pitch_mm)
-        H = np.zeros((*H_s.shape[:-1], len(nominal.augmentation.scale)))
-        H[..., THETA] = H_s
-        H[..., LENS] = H_intrinsics
-        if slopes:
-            H[..., THETA] = H_s @ shift[..., None, :, :]
-        for among, slope in slopes:
-            H[..., among] = H_s @ slope[..., None, :, :]
-        return uv, H, in_view
+        return reference.predict(*self._seen(nominal), nominal.intrinsics, u_i,
+                                 self.detector.pitch_mm, self._cos_field)
 
     def whitened(self, nominal: Nominal, H: Array, z: Array) -> tuple[Array, Array]:
         """Return derivatives and residuals of centroids in which their noise has no direction.
@@ -330,38 +304,37 @@ class Filter:
         Returns
         -------
         H, z : arrays
-            G^-1 H and G^-1 z, ``G G' = I + l l' / (12 s^2)`` of Eq. (E.2), G lower triangular.
+            See `reference.whitened`.
         """
         if not self._trail_s:
             return H, z
-        a, b = np.moveaxis(self.trail(nominal, H[..., THETA]), -1, 0)
-        inverse = np.zeros((*a.shape, 2, 2))
-        inverse[..., 0, 0] = 1.0 / np.sqrt(1.0 + a * a)
-        inverse[..., 1, 1] = np.sqrt((1.0 + a * a) / (1.0 + a * a + b * b))
-        inverse[..., 1, 0] = -a * b / (1.0 + a * a) * inverse[..., 1, 1]
-        return inverse @ H, _times(inverse, z)
+        return reference.whitened(H, z, self.trail(nominal, H[..., THETA]))
 
     def trail(self, nominal: Nominal, H_s: Array) -> Array:
         """Return l / (s sqrt(12)), (..., n, 2), of Eq. (E.2), from H_s (..., n, 2, 3)."""
-        rate_g = _times(nominal.augmentation.gain(nominal.augmented),
-                        nominal.reading - nominal.bias)
-        rate_s = _times(nominal.C_sg, rate_g) * self._trail_s
-        return _times(H_s, rate_s[..., None, :])
+        return _times(H_s, self._turn_of_exposure(nominal)[..., None, :])
+
+    def _turn_of_exposure(self, nominal: Nominal) -> Array:
+        rate_g = nominal.reading - nominal.bias
+        if nominal.augmentation.on:
+            rate_g = _times(nominal.augmentation.gain(nominal.augmented), rate_g)
+        return _times(nominal.C_sg, rate_g) * self._trail_s
 
     @staticmethod
-    def _seen(nominal: Nominal) -> tuple[Array, Array, list[tuple[slice, Array]]]:
+    def _seen(nominal: Nominal) -> tuple[Array, Array, Array]:
         """Return the C_si of a frame, what the optional states turn it by, and their slopes."""
+        size = nominal.augmentation.size
+        slopes = np.zeros((*nominal.C_gi.shape[:-2], 3, size))
         shift: Array = np.eye(3)
-        slopes: list[tuple[slice, Array]] = []
-        if nominal.augmentation.on:
+        if size:
             rate_g = _times(nominal.augmentation.gain(nominal.augmented),
                             nominal.reading - nominal.bias)
-            for state, place, among in nominal.augmentation.errors():
+            for state, place, _ in nominal.augmentation.errors():
                 looked = state.looked(nominal.augmented[..., place], nominal.C_sg, rate_g)
                 if looked is not None:
-                    slopes.append((among, shift @ looked.slope))
+                    slopes[..., place] = shift @ looked.slope
                     shift = shift @ looked.C
-        return (shift @ nominal.C_si if slopes else nominal.C_si), shift, slopes
+        return shift @ nominal.C_si, shift, slopes
 
     def update(self, belief: Belief, stars: Stars, gated: bool = True, judged: bool = False
                ) -> Update:
@@ -380,49 +353,46 @@ class Filter:
         judged : bool
             Give the evidence.
         """
-        uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
-        z, scale = uv - stars.uv, belief.nominal.augmentation.scale
-        H_white, innovations = self.whitened(belief.nominal, H, z - _apply(H, belief.error))
-        usable = in_view & np.isfinite(stars.sigma)
-        left_out = np.zeros_like(stars.sigma)
+        nominal, batch = belief.nominal, belief.error.shape[:-1]
+        C_si, shift, slopes = self._seen(nominal)
+        runs, left_out = arithmetic.LeadingAxes(batch), np.zeros(stars.sigma.shape)
         if gated and not self.taken_as_linear:
-            left_out = self._left_out(belief, stars, usable)
-        # Not a bit differs where nothing is left out.
-        sigma = np.hypot(stars.sigma, left_out) if left_out.any() else stars.sigma
-        innovation = kalman.innovate(belief.root, H_white * scale, innovations, sigma)
-        accepted = usable & (innovation.chi2 <= self.gate) if gated else usable
-        step, root, nis = kalman.correct(belief.root, innovation, accepted)
-        error = belief.error + scale * step
-        residual = _apply(H, error) - z
-        nominal = belief.nominal
+            left_out = self._left_out(belief, stars, C_si, left_out)
+        trail = (self._turn_of_exposure(nominal) if self._trail_s
+                 else np.zeros(nominal.bias.shape))
+        after = arithmetic.correct(
+            runs(nominal.C_gi, 2), runs(nominal.bias, 1), runs(nominal.C_sg, 2),
+            runs(nominal.intrinsics, 1), runs(belief.error, 1), runs(belief.root, 2),
+            runs(C_si, 2), runs(shift, 2), runs(slopes, 2), runs(trail, 1), runs(stars.u_i, 2),
+            runs(stars.uv, 2), runs(stars.sigma, 1), runs(left_out, 1), self.scale,
+            self.detector.pitch_mm, self._cos_field, self.gate if gated else np.inf, self.feedback)
+        found = reference.Corrected(*(runs.back(part) for part in after))
         if self.feedback:
-            nominal, error = nominal.without(error), np.zeros_like(error)
-        variance = np.einsum('...i,...i->...', innovation.M, innovation.M)
-        spread = np.sqrt(np.max(np.where(accepted[..., None], variance, 0.0), axis=(-2, -1),
-                                initial=0.0))
-        said = None
-        if judged:
-            said = kalman.evidence(
-                innovation, H_white * scale / sigma[..., None, None], accepted, root)
-        return Update(Belief(nominal, error, root), innovation.chi2, accepted, nis, residual,
-                      spread, np.asarray(~left_out.any(axis=-1)), said)
+            nominal = nominal.set_to(found.C_gi, found.bias, found.C_sg, found.intrinsics,
+                                     found.freed)
+        said = kalman.Evidence(found.z, found.H, found.M, found.L, found.root) if judged else None
+        return Update(Belief(nominal, found.error, found.root), found.chi2, found.accepted,
+                      found.nis, found.residual, found.spread,
+                      np.asarray(~left_out.any(axis=-1)), said)
 
-    def _left_out(self, belief: Belief, stars: Stars, usable: Mask) -> Array:
-        nominal = belief.nominal
-        C_si, *_ = self._seen(nominal)
-        r_s = np.where(usable[..., None], stars.u_i @ np.swapaxes(C_si, -1, -2), (0.0, 0.0, 1.0))
-        root = belief.root[..., _SEEN, :] * SCALE[_SEEN, None]
-        # With feedback an error is expected only of a frame that is linearised where it fits.
-        fitted = np.any(belief.error != 0.0, axis=-1, keepdims=True)
-        return self._curvature.left_out(r_s, nominal.intrinsics, root,
-                                        np.where(usable & ~fitted, stars.sigma, np.inf))
+    def _left_out(self, belief: Belief, stars: Stars, C_si: Array, nothing: Array) -> Array:
+        """Return what the linear model leaves out of each centroid; most often nothing."""
+        nominal, curvature = belief.nominal, self._curvature
+        runs = arithmetic.LeadingAxes(belief.error.shape[:-1])
+        if not arithmetic.bends(
+                runs(C_si, 2), runs(stars.u_i, 2), runs(stars.sigma, 1), runs(belief.error, 1),
+                runs(belief.root, 2), runs(nominal.intrinsics, 1), curvature.shift,
+                curvature.largest, self.detector.pitch_mm, self._cos_field):
+            return nothing
+        r_s = stars.u_i @ np.swapaxes(C_si, -1, -2)
+        in_view = reference.in_view(r_s, self._cos_field)
+        usable = in_view & ~np.any(belief.error != 0.0, axis=-1, keepdims=True)
+        return curvature.left_out(
+            np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0)), nominal.intrinsics,
+            belief.root[..., reference.SEEN, :] * SCALE[reference.SEEN, None],
+            np.where(usable, stars.sigma, np.inf))
 
 
 def _times(A: Array, x: Array) -> Array:
     """Return A x, (..., n), of A (..., n, k) and x (..., k)."""
     return (A @ x[..., None])[..., 0]
-
-
-def _apply(H: Array, x: Array) -> Array:
-    """Return H x, (..., n, 2), of H (..., n, 2, k) and x (..., k)."""
-    return (H @ x[..., None, :, None])[..., 0]

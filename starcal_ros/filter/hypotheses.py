@@ -18,16 +18,17 @@ import numpy as np
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.kalman import Evidence
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR
-from starcal_ros.filter.belief import Nominal
-from starcal_ros.filter.innovation_tests import CELLS, cell_of
+from starcal_ros.filter.frame_innovation import CELLS, cell_of
 from starcal_ros.filter.responses import WIDTH
 from starcal_ros.filter.states import EPSILON, PSI, SCALE, STATE_NAMES, THETA
-from starcal_ros.measurements.preintegration import Preintegrated
 
 _U0, _V0, _F = (STATE_NAMES.index(name) for name in ('u0', 'v0', 'f'))
-_KM_S = 1.0 / 299792.458        # of the speed of light
-_MIDDLE_MAGNITUDE = 5.0
 _HOUR = 3600.0
+
+KM_S = 1.0 / 299792.458
+"""A kilometre a second, of the speed of light."""
+MIDDLE_MAGNITUDE = 5.0
+"""Magnitude that is not displaced with the magnitude."""
 
 
 class Hypothesis(NamedTuple):
@@ -48,7 +49,7 @@ class Hypothesis(NamedTuple):
     largest: float
 
 
-TIME, SCALE_FACTORS, MISALIGNMENTS, VELOCITY, LENS, PHASE_U, PHASE_V, MAGNITUDE = range(8)
+TIME, SCALE_FACTORS, MISALIGNMENTS, VELOCITY, LENS_TERMS, PHASE_U, PHASE_V, MAGNITUDE = range(8)
 DRIFTS = slice(8, 12)
 CELL = slice(12, 12 + CELLS * CELLS)
 CHANGING = ('gyro bias', 'mounting of the star tracker',
@@ -86,32 +87,38 @@ def largest() -> Array:
     return sizes
 
 
-def shift(gyro: Preintegrated, before: Nominal, after: Nominal, n_states: int) -> Array:
+def hourly() -> Array:
+    """Return what each drift does to the scaled errors in a second, (16, 4, 3)."""
+    return -np.swapaxes(STEPS, 0, 1) / _HOUR
+
+
+def shift(C_gi_before: Array, C_gi: Array, C_sg: Array, Delta: Array, J: Array, dt: Array,
+          n_states: int) -> Array:
     """Return what the effects do to the scaled errors over an interval, (..., n_states, 3 n).
 
     Parameters
     ----------
-    gyro : Preintegrated
-        Over the interval.
-    before, after : Nominal
-        At its beginning and its end.
+    C_gi_before, C_gi : (..., 3, 3) arrays
+        Attitude at its beginning and its end.
+    C_sg : (..., 3, 3) array
+        Mounting.
+    Delta, J, dt : arrays
+        Turn, its derivative by the bias, and duration, of `preintegration`.
     n_states : int
     """
-    dt = gyro.duration
     V = np.zeros((*dt.shape, n_states, len(HYPOTHESES), WIDTH))
     # C is 1 - [turn x] to first order.
-    C = after.C_gi @ np.swapaxes(before.C_gi, -1, -2)
+    C = C_gi @ np.swapaxes(C_gi_before, -1, -2)
     turn = 0.5 * np.stack((C[..., 1, 2] - C[..., 2, 1], C[..., 2, 0] - C[..., 0, 2],
                            C[..., 0, 1] - C[..., 1, 0]), axis=-1)
     rate = turn / np.maximum(dt, 1e-9)[..., None]
     # As an error of the bias turns theta, so does what M reads too much (A.2 of `gyro_matrix`).
-    B = -(after.C_sg @ gyro.Delta @ gyro.J[..., :3]) * (1e-6 / SCALE[0])
+    B = -(C_sg @ Delta @ J[..., :3]) * (1e-6 / SCALE[0])
     V[..., THETA, SCALE_FACTORS, :] = B * rate[..., None, :]
     for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
         V[..., THETA, MISALIGNMENTS, column] = (B[..., i] * rate[..., j, None]
                                                 + B[..., j] * rate[..., i, None])
-    V[..., :len(SCALE), DRIFTS, :] = -np.swapaxes(STEPS, 0, 1) * (
-        dt[..., None, None, None] / _HOUR)
+    V[..., :len(SCALE), DRIFTS, :] = hourly() * dt[..., None, None, None]
     return V.reshape(*V.shape[:-2], WIDTH * len(HYPOTHESES))
 
 
@@ -136,24 +143,24 @@ class Sight(NamedTuple):
     half: Array
 
 
-def direct(said: Evidence, predicted: Nominal, sight: Sight) -> Array:
+def direct(said: Evidence, C_si: Array, rate_s: Array, sight: Sight) -> Array:
     """Return what the effects do to the whitened innovation of a frame, (..., 2 n, 3 n).
 
     Parameters
     ----------
     said : Evidence
         Of the frame.
-    predicted : Nominal
-        Before it.
+    C_si : (..., 3, 3) array
+        Attitude of the star tracker before it.
+    rate_s : (..., 3) array
+        Rate of the camera, in s [rad/s].
     sight : Sight
     """
     d = np.zeros((*said.z.shape, len(HYPOTHESES), WIDTH))
     H_s = said.H[..., THETA] / SCALE[0]
-    C_si = predicted.C_si
-    rate_s = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])
-    d[..., TIME, 0] = 1e-3 * (H_s @ rate_s)[..., 0]
+    d[..., TIME, 0] = 1e-3 * (H_s @ rate_s[..., None])[..., 0]
     r_s = np.repeat(sight.u_i @ np.swapaxes(C_si, -1, -2), 2, axis=-2)
-    d[..., VELOCITY, :] = -_KM_S * np.cross(H_s, r_s) @ C_si
+    d[..., VELOCITY, :] = -KM_S * np.cross(H_s, r_s) @ C_si
     # A shift of the measured u is one of u0 with the other sign.
     along_u, along_v = (-said.H[..., column] / SCALE[column] for column in (_U0, _V0))
 
@@ -165,14 +172,14 @@ def direct(said: Evidence, predicted: Nominal, sight: Sight) -> Array:
     corner = float(np.hypot(*sight.half))
     x, y = sight.uv[..., 0] / corner, sight.uv[..., 1] / corner
     r6 = (x * x + y * y)**3
-    moved(LENS, 0, x * r6, y * r6)
-    moved(LENS, 1, x, -y)
-    moved(LENS, 2, y, x)
+    moved(LENS_TERMS, 0, x * r6, y * r6)
+    moved(LENS_TERMS, 1, x, -y)
+    moved(LENS_TERMS, 2, y, x)
     phase = 2.0 * np.pi * sight.uv
     for column, wave in enumerate((np.sin(phase), np.cos(phase))):
         moved(PHASE_U, column, wave[..., 0], None)
         moved(PHASE_V, column, None, wave[..., 1])
-    fainter = np.nan_to_num(sight.magnitude - _MIDDLE_MAGNITUDE)
+    fainter = np.nan_to_num(sight.magnitude - MIDDLE_MAGNITUDE)
     moved(MAGNITUDE, 0, fainter, None)
     moved(MAGNITUDE, 1, None, fainter)
     number = np.repeat(CELL.start + cell_of(sight.uv, sight.half), 2, axis=-1)

@@ -41,6 +41,9 @@ from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond, normal_beyond
+from starcal_ros.filter import arithmetic
+from starcal_ros.filter.frame_innovation import (ALONG, CELLS, FRAMES, FREEDOM, LAG, MAGNITUDES,
+                                                 PAIRS, RATE, REST, SUMS, TURN, E, FrameInnovation)
 
 WINDOW = 120
 """Frames of a window: a minute at 2 Hz."""
@@ -54,54 +57,12 @@ REJECTED = 0.6
 """Share of stars that the gate may reject: half may be wrong."""
 LOSSES, LOSSES_FRAMES = 3, 7200
 """Losses of the attitude that may happen, and frames after which one more may: an hour at 2 Hz."""
-SPREAD = 3.0
-"""Largest predicted spread of a centroid that is judged, in its sigmas."""
 NOISE_TESTS = ('NIS of the turns', 'NIS of the rest', 'worst window of the turns',
                'worst window of the rest', 'correlation of turns from frame to frame')
 """What a noise that is not as stated fails, and need be nothing else."""
-CELLS = 4
-"""Cells of the detector along each of its sides."""
-MAGNITUDES = (3.0, 4.0, 5.0, 6.0, 7.0)
-"""Where the kinds of stars by magnitude end."""
 
 _LEAST = 20             # frames of a star
 _LEAST_OF_BIN = 500     # stars of a place or a magnitude
-
-
-class FrameInnovation(NamedTuple):
-    """What a frame adds.
-
-    Attributes
-    ----------
-    e : (3,) array
-        Whitened turn, Eq. (C.1).
-    L : (3, 3) array
-        Root of its information [1/rad].
-    nis : float
-        z' S^-1 z of the stars used.
-    used : int
-        Their number.
-    rate : (3,) array
-        Rate of the camera, in s [rad/s].
-    catalog_id : (n,) int64 array
-        Catalogue numbers of the stars used.
-    normal : (n, 2) array
-        Their innovations, each coordinate divided by its standard deviation.
-    cell : (n,) int array
-        Where they are on the detector, row by row of CELLS.
-    magnitude : (n,) array
-        NaN where it is not known.
-    """
-
-    e: Array
-    L: Array
-    nis: float
-    used: int
-    rate: Array
-    catalog_id: Ints
-    normal: Array
-    cell: Ints
-    magnitude: Array
 
 
 class InnovationTests:
@@ -115,43 +76,41 @@ class InnovationTests:
 
     def __init__(self, gated: float) -> None:
         self._gated = gated
-        self._run, self._window = _Sums(), _Sums()
+        self._run, self._window = np.zeros(SUMS), np.zeros(SUMS)
         self._worst = {'turn': 0.0, 'rest': 0.0}        # of all windows, in sigmas
         self._windows = 0
-        self._last: Array | None = None
+        self._last, self._follows = np.zeros(3), False      # e of the frame before
         self._stars = _Stars()
-        self._bins = {'cell': _Bins(CELLS * CELLS), 'magnitude': _Bins(len(MAGNITUDES) + 1)}
+        self._bins = {'cell': _Bins.empty(CELLS * CELLS),
+                      'magnitude': _Bins.empty(len(MAGNITUDES) + 1)}
         self._used = self._rejected = self._losses = 0
 
     @property
     def frames(self) -> int:
         """Number of frames taken."""
-        return self._run.frames
+        return int(self._run[FRAMES])
 
     def add(self, frame: FrameInnovation) -> bool:
         """Take what a frame says; return whether it was the last of a window."""
-        for sums in (self._run, self._window):
-            sums.add(frame, self._last)
-        self._last = frame.e
-        self._stars.add(frame.catalog_id, frame.normal)
-        squares = np.sum(frame.normal**2, axis=-1)
-        self._bins['cell'].add(frame.cell, squares)
-        known = np.isfinite(frame.magnitude)
-        self._bins['magnitude'].add(
-            np.searchsorted(MAGNITUDES, frame.magnitude[known]), squares[known])
-        if self._window.frames < WINDOW:
+        stars = self._stars
+        arithmetic.tally(frame, self._run, self._window, self._last, self._follows,
+                         stars.rows(frame.catalog_id), stars.frames, stars.sums,
+                         *self._bins['cell'], *self._bins['magnitude'])
+        self._follows = True
+        if self._window[FRAMES] < WINDOW:
             return False
         self._windows += 1
-        for name, deviation in (('turn', self._window.turn_deviation()),
-                                ('rest', self._window.rest_deviation(self._gated))):
+        for name, deviation in (
+                ('turn', _beyond(self._window[TURN], 3 * self._window[FRAMES])),
+                ('rest', _beyond(self._window[REST] / self._gated, self._window[FREEDOM]))):
             if abs(deviation) > abs(self._worst[name]):
                 self._worst[name] = deviation
-        self._window = _Sums()
+        self._window[:] = 0.0
         return True
 
     def pass_over(self) -> None:
         """Know of a frame that tells nothing: the next one has no neighbour."""
-        self._last = None
+        self._follows = False
 
     def account(self, used: int, rejected: int, lost: bool) -> None:
         """Count the stars of a frame, and whether the attitude was lost before it."""
@@ -161,17 +120,17 @@ class InnovationTests:
 
     def statistics(self) -> tuple[Statistic, ...]:
         """Return all tests, of one frame at least."""
-        run, n = self._run, self._run.frames
+        turn, rest, lag, along, rate = self._run[[TURN, REST, LAG, ALONG, RATE]].tolist()
+        n, freedom, pairs = self._run[[FRAMES, FREEDOM, PAIRS]].astype(int).tolist()
         far = normal_beyond(ALARM / 2.0)
         found: list[tuple[str, float, float, float, int]] = [
-            ('NIS of the turns', run.turn / (3 * n), *_band(far, 3 * n), n),
-            ('NIS of the rest', run.rest / (run.freedom * self._gated),
-             *_band(far, run.freedom), n),
-            ('mean of the turns', float(np.linalg.norm(run.e)) / np.sqrt(n), 0.0,
+            ('NIS of the turns', turn / (3 * n), *_band(far, 3 * n), n),
+            ('NIS of the rest', rest / (freedom * self._gated), *_band(far, freedom), n),
+            ('mean of the turns', float(np.linalg.norm(self._run[E])) / np.sqrt(n), 0.0,
              float(np.sqrt(chi2_beyond(ALARM, 3))), n),
-            ('correlation of turns from frame to frame', run.lag / np.sqrt(3.0 * run.pairs or 1.0),
+            ('correlation of turns from frame to frame', lag / np.sqrt(3.0 * pairs or 1.0),
              -far, far, n),
-            ('turns along the rate', run.along / np.sqrt(run.rate or 1.0), -far, far, n)]
+            ('turns along the rate', along / np.sqrt(rate or 1.0), -far, far, n)]
         if self._windows:
             far = normal_beyond(ALARM / 2.0 / self._windows)
             found += [(f'worst window of the {what}', self._worst[name], -far, far, self._windows)
@@ -189,16 +148,16 @@ class InnovationTests:
     def _scatter(self) -> Iterator[Statistic]:
         """Yield the bins whose squares are furthest from those of all."""
         for name, bins in self._bins.items():
-            which = np.flatnonzero(bins.count >= _LEAST_OF_BIN)
+            which = np.flatnonzero(bins.number >= _LEAST_OF_BIN)
             if len(which):
-                ratio = bins.squares[which] / (2.0 * bins.count[which] * self._gated)
+                ratio = bins.squares[which] / (2.0 * bins.number[which] * self._gated)
                 deviation = np.array([_beyond(2 * count * each, 2 * count, SCATTER)
-                                      for count, each in zip(bins.count[which].tolist(), ratio)])
+                                      for count, each in zip(bins.number[which].tolist(), ratio)])
                 worst = int(np.argmax(np.abs(deviation)))
                 far = normal_beyond(ALARM / 2.0 / len(which))
                 yield Statistic(
                     f'scatter in the worst {name}', float(deviation[worst]), -far, far,
-                    int(bins.count[which[worst]]),
+                    int(bins.number[which[worst]]),
                     fits=f'{ratio[worst]:.2f} times the stated variance '
                     + (cell_name(which[worst]) if name == 'cell' else
                        f'at magnitude {_magnitude_name(which[worst])}'))
@@ -206,38 +165,9 @@ class InnovationTests:
     @property
     def variance_factors(self) -> tuple[float, float]:
         """How much larger than stated the variances of turn and rest are, of a frame at least."""
-        return (self._run.turn / (3 * self._run.frames),
-                self._run.rest / (self._run.freedom * self._gated))
-
-
-class _Sums:
-    """Sums over frames."""
-
-    def __init__(self) -> None:
-        self.frames = self.freedom = self.pairs = 0
-        self.turn = self.rest = self.lag = self.along = self.rate = 0.0
-        self.e = np.zeros(3)
-
-    def add(self, frame: FrameInnovation, last: Array | None) -> None:
-        turn, w = float(frame.e @ frame.e), frame.rate @ frame.L
-        self.frames += 1
-        self.freedom += 2 * frame.used - 3
-        self.turn += turn
-        self.rest += frame.nis - turn
-        self.e = self.e + frame.e
-        self.along += float(w @ frame.e)
-        self.rate += float(w @ w)
-        if last is not None:
-            self.pairs += 1
-            self.lag += float(frame.e @ last)
-
-    def turn_deviation(self) -> float:
-        """Return how far e'e is beyond the margin about its mean, as a normal deviate."""
-        return _beyond(self.turn, 3 * self.frames)
-
-    def rest_deviation(self, gated: float) -> float:
-        """Return the same of the rest."""
-        return _beyond(self.rest / gated, self.freedom)
+        run = self._run
+        return (float(run[TURN] / (3.0 * run[FRAMES])),
+                float(run[REST] / (run[FREEDOM] * self._gated)))
 
 
 class _Stars:
@@ -245,45 +175,39 @@ class _Stars:
 
     def __init__(self) -> None:
         self._row: dict[int, int] = {}
-        self._frames, self._sums = np.zeros(64), np.zeros((64, 2))
+        self.frames, self.sums = np.zeros(64), np.zeros((64, 2))
 
-    def add(self, catalog_id: Ints, normal: Array) -> None:
+    def rows(self, catalog_id: Ints) -> Ints:
+        """Return where some stars stand, room made for new ones."""
         row = self._row
         rows = np.array([row.setdefault(number, len(row)) for number in catalog_id.tolist()], int)
-        if len(row) > len(self._frames):
+        if len(row) > len(self.frames):
             more = len(row)                                 # room for twice as many
-            self._frames = np.append(self._frames, np.zeros(more))
-            self._sums = np.append(self._sums, np.zeros((more, 2)), axis=0)
-        np.add.at(self._frames, rows, 1.0)
-        np.add.at(self._sums, rows, normal)
+            self.frames = np.append(self.frames, np.zeros(more))
+            self.sums = np.append(self.sums, np.zeros((more, 2)), axis=0)
+        return rows
 
     def worst(self) -> tuple[float, int]:
         """Return the sum that is furthest off, as a normal deviate, and of how many stars."""
-        often = self._frames >= _LEAST
+        often = self.frames >= _LEAST
         if not often.any():
             return 0.0, 0
-        root = np.sqrt(self._frames[often])[:, None]
-        sums = self._sums[often]
+        root = np.sqrt(self.frames[often])[:, None]
+        sums = self.sums[often]
         beyond = np.maximum(np.abs(sums) / root - DISPLACED * root, 0.0)
         worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
         return float(np.copysign(beyond[worst], sums[worst])), int(often.sum())
 
 
-class _Bins:
-    """Sums of squares of the stars of some kinds."""
+class _Bins(NamedTuple):
+    """Number of the stars of some kinds, and sums of their squares."""
 
-    def __init__(self, n: int) -> None:
-        self.count, self.squares = np.zeros(n, np.int64), np.zeros(n)
+    number: Ints
+    squares: Array
 
-    def add(self, kind: Ints, squares: Array) -> None:
-        self.count += np.bincount(kind, minlength=len(self.count))
-        self.squares += np.bincount(kind, squares, len(self.squares))
-
-
-def cell_of(uv: Array, half: Array) -> Ints:
-    """Return the cell of centroids (..., 2) from the centre of a detector of half the size."""
-    place = np.clip(((uv / half + 1.0) * (0.5 * CELLS)).astype(np.int64), 0, CELLS - 1)
-    return np.asarray(CELLS * place[..., 1] + place[..., 0])
+    @classmethod
+    def empty(cls, n: int) -> _Bins:
+        return cls(np.zeros(n, np.int64), np.zeros(n))
 
 
 def cell_name(cell: int) -> str:

@@ -21,13 +21,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
-from starcal_ros.core.kalman import Evidence
 from starcal_ros.core.units import NS
 
 BEGIN_S = 10.0
 """Time from the first frame on of which nothing is counted [s]."""
+
+
+def log_det(sigma: Array, accepted: Mask, L: Array) -> Array:
+    """Return ln det S, (...), of the stars that were used.
+
+    Parameters
+    ----------
+    sigma : (..., n) array
+        Of the stars [px].
+    accepted : (..., n) bool array
+        Those that were used.
+    L : (..., k, k) array
+        Cholesky factor of I + M'M.
+    """
+    stars = np.sum(np.log(np.where(accepted, sigma, 1.0)), axis=-1)
+    return 4.0 * stars + 2.0 * np.sum(np.log(np.einsum('...ii->...i', L)), axis=-1)
 
 
 class Likelihood:
@@ -44,17 +59,16 @@ class Likelihood:
         self._first_ns: int | None = None
         self.twice_log: Array = np.zeros(())
 
-    def add(self, stamp_ns: int, said: Evidence, sigma: Array, accepted: Mask, nis: Array) -> None:
+    def add(self, stamp_ns: int, used: Ints, log_det: Array, nis: Array) -> None:
         """Take a frame in.
 
         Parameters
         ----------
         stamp_ns : int
-        said : Evidence
-        sigma : (..., n) array
-            Of the stars [px].
-        accepted : (..., n) bool array
-            Those that were used.
+        used : (...) int64 array
+            Number of stars that were used.
+        log_det : (...) array
+            Their ln det S.
         nis : (...) array
             Their z' S^-1 z.
         """
@@ -62,8 +76,5 @@ class Likelihood:
             self._first_ns = stamp_ns
         if (stamp_ns - self._first_ns) * NS < BEGIN_S:
             return
-        used = np.where(accepted, sigma, 1.0)
-        log_det = 4.0 * np.sum(np.log(used), axis=-1) + 2.0 * np.sum(
-            np.log(np.einsum('...ii->...i', said.L)), axis=-1)
         self.twice_log = self.twice_log + np.where(
-            np.isfinite(nis), accepted.sum(axis=-1) * self._free - log_det - nis, 0.0)
+            np.isfinite(nis), used * self._free - log_det - nis, 0.0)

@@ -26,18 +26,18 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
-from starcal_ros.filter import hypotheses
+from starcal_ros.filter import arithmetic, hypotheses
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
 from starcal_ros.filter.error_state import Filter, Update
-from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS, Sight
-from starcal_ros.filter.innovation_tests import (MARGIN, NOISE_TESTS, SCATTER, SPREAD, WINDOW,
-                                                 FrameInnovation, InnovationTests, cell_name,
-                                                 cell_of, gated_nis)
+from starcal_ros.filter.frame_innovation import FrameInnovation
+from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS
+from starcal_ros.filter.innovation_tests import (MARGIN, NOISE_TESTS, SCATTER, WINDOW,
+                                                 InnovationTests, cell_name, gated_nis)
 from starcal_ros.filter.likelihood import Likelihood
 from starcal_ros.filter.noise_levels import Scores
 from starcal_ros.filter.responses import WIDTH, Fit, Responses
-from starcal_ros.filter.states import SCALE, THETA
+from starcal_ros.filter.states import THETA
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
@@ -51,7 +51,6 @@ HARM = 0.5
 SELDOM_NS = 3600 * 10**9
 """Time after a change that was answered in which there is no second answer."""
 
-_BLIND = 1e-10              # information on a turn that a frame has none of, of its largest
 _STEP_LARGEST = 1e6
 
 
@@ -74,6 +73,26 @@ class Effect(NamedTuple):
     numbers: tuple[str, ...]
     place: int
     tried: int
+
+
+class Weighed(NamedTuple):
+    """An effect, and how much it weighs.
+
+    Attributes
+    ----------
+    effect : Effect
+    counted : float
+        Twice the logarithm of the likelihood ratio, what does no harm taken off.
+    bound : float
+        What is beyond chance.
+    harm : float
+        Largest shift of a state, in its sigmas.
+    """
+
+    effect: Effect
+    counted: float
+    bound: float
+    harm: float
 
 
 class ModelTests:
@@ -106,7 +125,7 @@ class ModelTests:
     def __init__(self, filter_: Filter, gate_probability: float, batch: tuple[int, ...] = (),
                  scores: Scores | None = None) -> None:
         self._half = 0.5 * np.array([filter_.detector.width, filter_.detector.height])
-        self._n, self._batch = len(filter_.scale), batch
+        self._n, self._batch, self._runs = len(filter_.scale), batch, arithmetic.LeadingAxes(batch)
         self._gated = gated_nis(gate_probability)
         self.history: list[tuple[int, tuple[Statistic, ...]]] = []
         self.changes: list[ModelChange] = []
@@ -122,17 +141,17 @@ class ModelTests:
         self._responses = Responses(self._batch, self._n, np.concatenate((
             hypotheses.largest(), np.full((N_EFFECTS, WIDTH), _STEP_LARGEST))))
         self._changes = Changes()
-        self._sigma = np.ones((*self._batch, self._n))
+        self._root = np.broadcast_to(np.eye(self._n), (*self._batch, self._n, self._n))
         self._since: dict[str, int] = {}
 
     # Coming in
 
     def carry(self, gyro: Preintegrated, before: Nominal, after: Nominal, Phi: Array) -> None:
         """Know of an interval: its beginning, its end, and the transition of the errors."""
-        V = np.zeros(self._responses.E.shape)
-        known = WIDTH * len(HYPOTHESES)
-        V[..., :known] = hypotheses.shift(gyro, before, after, self._n)
-        self._responses.carry(Phi, V)
+        runs = self._runs
+        arithmetic.carry(
+            runs(self._responses.E, 2), runs(Phi, 2), runs(before.C_gi, 2), runs(after.C_gi, 2),
+            runs(after.C_sg, 2), runs(gyro.Delta, 2), runs(gyro.J, 2), runs(gyro.duration, 0))
         if self.scores is not None:
             self.scores.carry(gyro, Phi)
 
@@ -160,38 +179,32 @@ class ModelTests:
         """
         said = update.evidence
         assert said is not None
-        A = said.H[..., THETA] / SCALE[0]
-        N, v = said.explained(A)
-        used = update.accepted.sum(axis=-1)
-        variance = np.einsum('...i,...i->...', said.M, said.M)
-        values = np.linalg.eigvalsh(N)
-        # Stars at one place tell no roll.
-        judged = ((used > 2) & (update.spread < SPREAD)
-                  & (values[..., 0] > _BLIND * values[..., -1]) & np.isfinite(update.nis))
-        d = np.zeros((*said.z.shape, self._responses.E.shape[-1]))
-        d[..., :WIDTH * len(HYPOTHESES)] = hypotheses.direct(
-            said, predicted, Sight(stars.u_i, stars.uv, magnitude, self._half))
-        self._responses.meet(said, d, np.asarray(judged))
-        judged = judged & update.linear         # whose scatter is not what is stated
-        root = update.belief.root
-        self._sigma = np.sqrt(np.einsum('...ij,...ij->...i', root, root))
-        normal = (said.z / np.sqrt(1.0 + variance)).reshape(*update.accepted.shape, 2)
-        cell = cell_of(stars.uv, self._half)
+        responses, self._root = self._responses, update.belief.root
         rate = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])[..., 0]
-        self.likelihood.add(stamp_ns, said, stars.sigma, update.accepted, update.nis)
+        runs = self._runs
+        found = arithmetic.judge(
+            runs(said.z, 1), runs(said.H, 2), runs(said.M, 2), runs(said.L, 2), runs(said.root, 2),
+            runs(responses.E, 2), runs(responses.s, 2), runs(responses.information, 3),
+            runs(predicted.C_si, 2), runs(rate, 1), runs(stars.u_i, 2), runs(stars.uv, 2),
+            runs(stars.sigma, 1), runs(magnitude, 1), runs(update.accepted, 1),
+            runs(update.spread, 0), runs(update.nis, 0), self._half)
+        # The scatter of a frame that is believed less is not what is stated.
+        judged = found.judged & np.ravel(update.linear)
+        used = update.accepted.sum(axis=-1)
+        self.likelihood.add(stamp_ns, used, runs.back(found.log_det), update.nis)
         if self.scores is not None:
-            turn = float(v @ np.linalg.solve(N, v)) if judged else 0.0
-            self.scores.meet(said, float(update.nis) - turn, 2 * int(used) - 3, bool(judged))
+            turn = float(found.e[0] @ found.e[0]) if judged[0] else 0.0
+            self.scores.meet(said, float(update.nis) - turn, 2 * int(used) - 3, bool(judged[0]))
         ended = False
-        for run, tests in self._tests.items():
-            if not judged[run]:
+        for k, (run, tests) in enumerate(self._tests.items()):
+            if not judged[k]:
                 tests.pass_over()
                 continue
-            L, use = np.linalg.cholesky(N[run]), update.accepted[run]
+            use = update.accepted[run]
             ended = tests.add(FrameInnovation(
-                np.asarray(np.linalg.solve(L, v[run])), np.asarray(L), float(update.nis[run]),
-                int(used[run]), rate[run], catalog_id[run][use], normal[run][use],
-                cell[run][use], magnitude[run][use])) or ended
+                found.e[k], found.L[k], float(update.nis[run]), int(used[run]), rate[run],
+                catalog_id[run][use], found.normal[k][use], found.cell[k][use],
+                magnitude[run][use])) or ended
         if ended:
             self._keep(stamp_ns)
 
@@ -228,32 +241,37 @@ class ModelTests:
         """
         if not self._changes.due(stamp_ns):
             return None
-        found = None
+        found, fit = None, self._responses.fit()
         seldom = not self.changes or stamp_ns > self.changes[-1].found_ns + SELDOM_NS
         if wanted and seldom:
             noise_as_stated = all(
                 1.0 / SCATTER < factor < SCATTER for factor in self.variance_factors())
-            found = self._changes.find(
-                stamp_ns, self._responses.fit(), self._responses, noise_as_stated)
+            found = self._changes.find(stamp_ns, fit, self._responses, noise_as_stated)
         if found is None:
-            self._changes.begin(stamp_ns, self._clean(), self._responses)
+            self._changes.begin(stamp_ns, self._clean(fit), self._responses)
             return None
         self.changes.append(found.change)
         self.begin()
         return found
 
-    def _clean(self) -> bool:
+    def _clean(self, fit: Fit) -> bool:
         """Tell whether there is a window at least, and nothing that speaks against the model."""
         return self._tests[()].frames >= WINDOW and all(
-            each.passed for each in self.statistics()
-            if self.noise_known or each.name not in NOISE_TESTS)
+            each.passed for each in self._tests[()].statistics()
+            if self.noise_known or each.name not in NOISE_TESTS) and all(
+            each.counted <= each.bound for each in self._effects((), fit))
 
     def statistics(self, run: tuple[int, ...] = ()) -> tuple[Statistic, ...]:
         """Return all tests of one run; none while there are too few frames."""
         tests = self._tests[run]
         if tests.frames < LEAST:
             return ()
-        found = (*tests.statistics(), *self._effects(run, tests.frames))
+        fit = self._responses.fit(run)
+        found = (*tests.statistics(), *(
+            Statistic(each.effect.name, each.counted, 0.0, each.bound, tests.frames,
+                      fits=_sizes(each.effect.numbers, fit, each.effect.place, each.harm),
+                      gain=float(fit.gain[each.effect.place]))
+            for each in self._effects(run, fit)))
         return tuple(each._replace(since_ns=self._since.get(each.name)) for each in found)
 
     def size(self, effect: int) -> float:
@@ -291,19 +309,18 @@ class ModelTests:
         bound = MARGIN * chi2_beyond(ALARM / effect.tried, max(int(fit.freedom[place]), 1))
         return np.asarray(fit.sigma[place][:len(effect.numbers)] * np.sqrt(bound))
 
-    def _effects(self, run: tuple[int, ...], frames: int) -> Iterator[Statistic]:
-        fit = self._responses.fit(run)
+    def _effects(self, run: tuple[int, ...], fit: Fit) -> Iterator[Weighed]:
+        """Yield the effects of which something is told."""
         shifted = np.einsum('ngk,gk->gn', self._responses.E[run].reshape(
             self._n, -1, WIDTH), fit.p)
-        harm = np.max(np.abs(shifted) / np.maximum(self._sigma[run], 1e-300), axis=-1)
+        sigma = np.linalg.norm(self._root[run], axis=-1)
+        harm = np.max(np.abs(shifted) / np.maximum(sigma, 1e-300), axis=-1)
         counted = fit.gain * np.maximum(1.0 - HARM / np.maximum(harm, 1e-300), 0.0)**2
         for effect in self._fitted(counted):
             k = effect.place
             if fit.freedom[k] > 0:
-                yield Statistic(
-                    effect.name, float(counted[k]), 0.0,
-                    MARGIN * chi2_beyond(ALARM / effect.tried, int(fit.freedom[k])), frames,
-                    fits=_sizes(effect.numbers, fit, k, float(harm[k])), gain=float(fit.gain[k]))
+                bound = MARGIN * chi2_beyond(ALARM / effect.tried, int(fit.freedom[k]))
+                yield Weighed(effect, float(counted[k]), bound, float(harm[k]))
 
     def _fitted(self, counted: Array) -> list[Effect]:
         """Return the effects to be told, of those of one kind the worst."""

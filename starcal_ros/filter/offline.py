@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import kalman
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter import noise_search
 from starcal_ros.filter.calibrator import Calibrator
@@ -117,7 +118,7 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     n = calibrator.waiting
     stamp_ns, used = np.empty(n, np.int64), np.empty(n, np.int64)
     bias, C_sg, intrinsics = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 7))
-    sigma, root = np.empty((n, N_STATES)), np.empty((n, N_STATES, N_STATES))
+    root = np.empty((n, N_STATES, N_STATES))
     nis = np.empty(n)
     uv_raster: list[Array] = [np.empty((0, 2))]
     residual: list[Array] = [np.empty((0, 2))]
@@ -127,7 +128,7 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         estimate, rows = frame.belief.estimate, row + 1
         stamp_ns[row], nis[row] = frame.stamp_ns, frame.nis
         bias[row], C_sg[row], intrinsics[row] = estimate.bias, estimate.C_sg, estimate.intrinsics
-        sigma[row], root[row] = frame.belief.sigma, frame.belief.state_root
+        root[row] = frame.belief.state_root
         used[row] = frame.accepted.sum()
         uv_raster.append(frame.uv_raster)
         residual.append(frame.residual)
@@ -137,7 +138,7 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
     told(1.0)
     done = slice(rows)
     return calibrator, History(
-        stamp_ns[done], bias[done], C_sg[done], intrinsics[done], sigma[done],
+        stamp_ns[done], bias[done], C_sg[done], intrinsics[done], kalman.sigma_of(root[done]),
         equivalent_sigma(root[done], intrinsics[done], calibrator.filter.detector.pitch_mm),
         nis[done], used[done],
         Residuals(np.concatenate(uv_raster), np.concatenate(residual), np.concatenate(accepted),

@@ -61,6 +61,32 @@ class Fit(NamedTuple):
     root: Array
 
 
+def respond(said: Evidence, d: Array, judged: Mask, E: Array, s: Array, information: Array
+            ) -> None:
+    """Take a frame in, in place, Eq. (R.1) and (R.2).
+
+    Parameters
+    ----------
+    said : Evidence
+    d : (..., m, 3 n_effects) array
+        Direct effect on the whitened measurements.
+    judged : (...) bool array
+        Whether the frame tells of the sizes; the errors respond all the same.
+    E, s, information : arrays
+        See `Responses`.
+    """
+    D = said.H @ E + d
+    both = np.concatenate((D, said.z[..., None]), axis=-1)
+    W = said.half(both)
+    E -= said.root @ W[..., :-1]
+    gain = np.swapaxes(both, -1, -2) @ both[..., -1:] - np.swapaxes(W, -1, -2) @ W[..., -1:]
+    D, W = (np.moveaxis(part.reshape(*part.shape[:-1], -1, WIDTH), -2, -3)
+            for part in (D, W[..., :-1]))
+    told = np.swapaxes(D, -1, -2) @ D - np.swapaxes(W, -1, -2) @ W
+    s += np.where(judged[..., None, None], gain[..., :-1, 0].reshape(s.shape), 0.0)
+    information += np.where(judged[..., None, None, None], told, 0.0)
+
+
 class Responses:
     """The responses to some effects.
 
@@ -76,47 +102,22 @@ class Responses:
     ----------
     E : (..., n_states, 3 n_effects) array
         Response of the scaled errors.
+    s : (..., n_effects, 3) array
+    information : (..., n_effects, 3, 3) array
+        Eq. (R.2).
     """
 
     def __init__(self, batch: tuple[int, ...], n_states: int, largest: Array) -> None:
         self._largest = largest
         self.E = np.zeros((*batch, n_states, largest.size))
-        self._s = np.zeros((*batch, *largest.shape))
-        self._I = np.zeros((*batch, *largest.shape, WIDTH))
-
-    def carry(self, Phi: Array, V: Array) -> None:
-        """Take an interval in: transition (..., n, n) and shift (..., n, 3 n_effects)."""
-        self.E = Phi @ self.E + V
-
-    def meet(self, said: Evidence, d: Array, judged: Mask) -> None:
-        """Take a frame in.
-
-        Parameters
-        ----------
-        said : Evidence
-        d : (..., m, 3 n_effects) array
-            Direct effect on the whitened measurements.
-        judged : (...) bool array
-            Whether the frame tells of the sizes; the errors respond all the same.
-        """
-        D = said.H @ self.E + d
-        both = np.concatenate((D, said.z[..., None]), axis=-1)
-        W = said.half(both)
-        self.E -= said.root @ W[..., :-1]
-        gain = np.swapaxes(both, -1, -2) @ both[..., -1:] - np.swapaxes(W, -1, -2) @ W[..., -1:]
-        effects = self._largest.shape[0]
-        D, W = (np.moveaxis(part.reshape(*part.shape[:-1], effects, WIDTH), -2, -3)
-                for part in (D, W[..., :-1]))
-        information = np.swapaxes(D, -1, -2) @ D - np.swapaxes(W, -1, -2) @ W
-        self._s += np.where(judged[..., None, None],
-                            gain[..., :-1, 0].reshape(self._s.shape), 0.0)
-        self._I += np.where(judged[..., None, None, None], information, 0.0)
+        self.s = np.zeros((*batch, *largest.shape))
+        self.information = np.zeros((*batch, *largest.shape, WIDTH))
 
     def begin(self, effect: int, E: Array) -> None:
         """Let an effect begin now, with the response (n_states, 3) or (..., n_states, 3)."""
         self.E[..., WIDTH * effect:WIDTH * (effect + 1)] = E
-        self._s[..., effect, :] = 0.0
-        self._I[..., effect, :, :] = 0.0
+        self.s[..., effect, :] = 0.0
+        self.information[..., effect, :, :] = 0.0
 
     def forget(self, rows: slice) -> None:
         """Let some states be found anew: their errors owe nothing to any effect."""
@@ -128,7 +129,7 @@ class Responses:
 
     def fit(self, run: tuple[int, ...] = ()) -> Fit:
         """Return the sizes that fit best in one run of the batch."""
-        s, information = self._s[run], self._I[run]
+        s, information = self.s[run], self.information[run]
         # In units of the largest; a direction of which little is known is left out.
         size = self._largest
         values, vectors = np.linalg.eigh(information * size[:, :, None] * size[:, None, :])

@@ -5,8 +5,8 @@
 import errno
 import os
 import resource
-import sys
 import stat
+import sys
 
 import pytest
 

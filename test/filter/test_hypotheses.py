@@ -12,8 +12,8 @@ from starcal_ros.core import camera, rotation
 from starcal_ros.core.statistic import ALARM
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR, NS
 from starcal_ros.filter import model_tests
+from starcal_ros.filter.frame_innovation import CELLS, cell_of
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, largest
-from starcal_ros.filter.innovation_tests import CELLS, cell_of
 from starcal_ros.filter.model_tests import LEAST
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation.truth import Truth

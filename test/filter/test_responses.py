@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from starcal_ros.core import kalman
-from starcal_ros.filter.responses import Responses
+from starcal_ros.filter.responses import Responses, respond
 
 N, M, FRAMES = 4, 3, 30
 
@@ -18,6 +18,11 @@ def linear(seed=1):
     H = rng.normal(size=(FRAMES, M, 2, N))
     V, d = rng.normal(size=(FRAMES, N, 3)), rng.normal(size=(FRAMES, M, 2, 3))
     return Phi, H, V, d
+
+
+def meet(responses, said, d, judged):
+    """Take a frame in."""
+    respond(said, d, np.asarray(judged), responses.E, responses.s, responses.information)
 
 
 def run(p, seed=1, begin=0, judged=lambda k: True, noise=True, p_sigma=1e3):
@@ -35,7 +40,7 @@ def run(p, seed=1, begin=0, judged=lambda k: True, noise=True, p_sigma=1e3):
         x = Phi[k] @ x - on * V[k] @ p
         x_hat = Phi[k] @ x_hat
         root = kalman.predict(root, Phi[k], np.zeros((N, 1)))
-        responses.carry(Phi[k], on * V[k])
+        responses.E = Phi[k] @ responses.E + on * V[k]
         wide = np.eye(N + 3)
         wide[:N, :N], wide[:N, N:] = Phi[k], on * V[k]
         error = wide @ error
@@ -45,7 +50,7 @@ def run(p, seed=1, begin=0, judged=lambda k: True, noise=True, p_sigma=1e3):
         innovation = kalman.innovate(root, H[k], z, sigma)
         step, after, _ = kalman.correct(root, innovation, use)
         said = kalman.evidence(innovation, H[k], use, after)
-        responses.meet(said, (on * d[k]).reshape(2 * M, 3), np.asarray(judged(k)))
+        meet(responses, said, (on * d[k]).reshape(2 * M, 3), judged(k))
         x_hat, root = x_hat - step, after
         H_wide = np.concatenate((H[k], on * d[k]), axis=-1)
         # The filter with p sees the same measurement, about its own estimate.
@@ -133,12 +138,12 @@ def test_effects_of_fewer_numbers_and_batch_axes_are_each_for_itself():
         _, after, _ = kalman.correct(root, innovation, np.ones((2, M), bool))
         said = kalman.evidence(innovation, np.broadcast_to(H[k], (2, M, 2, N)),
                                np.ones((2, M), bool), after)
-        many.carry(Phi[k], np.broadcast_to(V_both, (2, N, 6)))
-        many.meet(said, np.broadcast_to(d_both, (2, 2 * M, 6)), np.ones(2, bool))
+        many.E = Phi[k] @ many.E + V_both
+        meet(many, said, np.broadcast_to(d_both, (2, 2 * M, 6)), np.ones(2, bool))
         for run_, one in enumerate(alone):
-            one.carry(Phi[k], V_both[:, 3 * run_:3 * run_ + 3])
-            one.meet(kalman.Evidence(*(part[run_] for part in said)),
-                     d_both[:, 3 * run_:3 * run_ + 3], np.asarray(True))
+            one.E = Phi[k] @ one.E + V_both[:, 3 * run_:3 * run_ + 3]
+            meet(one, kalman.Evidence(*(part[run_] for part in said)),
+                 d_both[:, 3 * run_:3 * run_ + 3], True)
         root = after
     for run_, one in enumerate(alone):
         fit, single = many.fit((run_,)), one.fit()

@@ -1,0 +1,56 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The arithmetic of a frame: compiled where numba is installed, else that of `reference`.
+
+The first import compiles, `python -m starcal_ros.filter.arithmetic` at installation. Its functions
+take one leading axis, the runs; `LeadingAxes` leads there and back.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+try:
+    from starcal_ros.filter.kernel import COMPILED, bends, carry, correct, judge, propagate, tally
+except (ImportError, RuntimeError) as error:        # no numba, or nowhere to keep its cache
+    if not isinstance(error, ModuleNotFoundError):
+        print(f'starcal_ros: the filter runs uncompiled: {error}', file=sys.stderr)
+    from starcal_ros.filter.reference import (COMPILED, bends, carry, correct, judge, propagate,
+                                              tally)
+
+__all__ = ['COMPILED', 'LeadingAxes', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally']
+
+
+class LeadingAxes:
+    """Takes arrays of a batch to arrays with one leading axis, the runs, and back.
+
+    Parameters
+    ----------
+    batch : tuple of int
+        Leading axes.
+    """
+
+    def __init__(self, batch: tuple[int, ...]) -> None:
+        self._batch = batch
+
+    def __call__(self, part: NDArray[Any], axes: int) -> NDArray[Any]:
+        """Return an array with its last axes behind the runs.
+
+        Of the same memory, but for what is the same for all runs.
+        """
+        own = part.shape[part.ndim - axes:]
+        if part.shape != self._batch + own:
+            part = np.broadcast_to(part, self._batch + own)
+        if not self._batch:
+            return part[None]
+        return part if len(self._batch) == 1 else part.reshape((-1, *own))
+
+    def back(self, part: NDArray[Any]) -> NDArray[Any]:
+        """Return an array of runs with the leading axes of the batch."""
+        if not self._batch:
+            return part[0]
+        return part if len(self._batch) == 1 else part.reshape(self._batch + part.shape[1:])

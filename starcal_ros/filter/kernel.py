@@ -1,0 +1,828 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The arithmetic of a frame, compiled: the functions of `reference`, run by run.
+
+Each run is worked on by itself, so that it comes out bit for bit the same alone and in a batch of
+any size. What the functions mean, and the shapes of what they take, stands in `reference`; here
+arrays are contiguous and writable besides. Sums run in a fixed order and are not contracted: the
+bits do not depend on the machine.
+
+Importing this compiles what is not in numba's cache on disk yet: half a minute, once.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+import sys
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.filter.curvature import MATTERS, REPEATS
+from starcal_ros.filter.frame_innovation import (ALONG, BLIND, CELLS, FRAMES, FREEDOM, LAG,
+                                                 MAGNITUDES, PAIRS, RATE, REST, SPREAD, SUMS, TURN,
+                                                 FrameInnovation)
+from starcal_ros.filter.hypotheses import (CELL, DRIFTS, KM_S, LENS_TERMS, MAGNITUDE,
+                                           MIDDLE_MAGNITUDE, MISALIGNMENTS, PHASE_U, PHASE_V,
+                                           SCALE_FACTORS, TIME, VELOCITY, hourly)
+from starcal_ros.filter.reference import Carried, Corrected, TurnFound
+from starcal_ros.filter.responses import WIDTH
+from starcal_ros.filter.states import LENS, SCALE
+
+COMPILED = True
+
+_jit: Any = partial(numba.njit, cache=True, error_model='numpy')
+
+_TURN, _PSI, _LENS, _N = SCALE[0], 6, LENS.start, LENS.stop
+_SCALE_U, _SCALE_V = SCALE[LENS.start], SCALE[LENS.start + 1]
+_HOURLY = hourly().copy()                      # (16, 4, 3): of the drifts
+_DRIFTS, _CELL = DRIFTS.start, CELL.start
+_N_DRIFTS, _N_CELLS = DRIFTS.stop - DRIFTS.start, CELL.stop - CELL.start
+# Columns of the effects that move the centroids themselves, cells aside: time, velocity, lens,
+# phases, magnitude.
+_DENSE = np.array([WIDTH * effect + column for effect, count in (
+    (TIME, 1), (VELOCITY, 3), (LENS_TERMS, 3), (PHASE_U, 2), (PHASE_V, 2), (MAGNITUDE, 2))
+    for column in range(count)])
+_N_DENSE = len(_DENSE)
+
+
+# Rotations, as in `core.rotation`
+
+@_jit
+def _product(A: Array, B: Array, out: Array) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+
+
+@_jit
+def _product_by_transposed(A: Array, B: Array, out: Array) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
+
+
+@_jit
+def _transposed_product(A: Array, B: Array, out: Array) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[0, i] * B[0, j] + A[1, i] * B[1, j] + A[2, i] * B[2, j]
+
+
+@_jit
+def _exp(a: float, b: float, c: float, out: Array) -> None:
+    half = 0.5 * np.sqrt(a * a + b * b + c * c)
+    factor = 0.5 if half < 1e-8 else 0.5 * np.sin(half) / half
+    x, y, z, w = a * factor, b * factor, c * factor, np.cos(half)
+    x2, y2, z2 = x + x, y + y, z + z
+    xx, yy, zz = x * x2, y * y2, z * z2
+    xy, xz, yz = x * y2, x * z2, y * z2
+    wx, wy, wz = w * x2, w * y2, w * z2
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - (yy + zz), xy - wz, xz + wy
+    out[1, 0], out[1, 1], out[1, 2] = xy + wz, 1.0 - (xx + zz), yz - wx
+    out[2, 0], out[2, 1], out[2, 2] = xz - wy, yz + wx, 1.0 - (xx + yy)
+
+
+@_jit
+def _orthonormalized(C: Array, out: Array) -> None:
+    square, cube = np.empty((3, 3)), np.empty((3, 3))
+    _product_by_transposed(C, C, square)
+    _product(square, C, cube)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = 1.5 * C[i, j] - 0.5 * cube[i, j]
+
+
+# Small matrices
+
+@_jit
+def _triangularized(A: Array) -> None:
+    """Leave R of A = Q R in the upper triangle of A, by Householder reflections."""
+    rows, n = A.shape
+    w = np.empty(n)
+    for j in range(n):
+        square = 0.0
+        for i in range(j + 1, rows):
+            square += A[i, j] * A[i, j]
+        if square == 0.0:
+            continue
+        alpha = A[j, j]
+        beta = -np.copysign(np.sqrt(alpha * alpha + square), alpha)
+        tau, inverse = (beta - alpha) / beta, 1.0 / (alpha - beta)
+        A[j, j] = beta
+        for k in range(j + 1, n):
+            w[k] = A[j, k]
+        for i in range(j + 1, rows):
+            v = A[i, j] * inverse
+            A[i, j] = v
+            if v != 0.0:
+                for k in range(j + 1, n):
+                    w[k] += v * A[i, k]
+        for k in range(j + 1, n):
+            w[k] *= tau
+            A[j, k] -= w[k]
+        for i in range(j + 1, rows):
+            v = A[i, j]
+            if v != 0.0:
+                for k in range(j + 1, n):
+                    A[i, k] -= v * w[k]
+
+
+@_jit
+def _factored(A: Array, L: Array) -> bool:
+    """Write the Cholesky factor of A, read of its lower triangle, to L; false if there is none."""
+    n = A.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            value = A[i, j]
+            for k in range(j):
+                value -= L[i, k] * L[j, k]
+            if j < i:
+                L[i, j] = value / L[j, j]
+            elif value > 0.0:
+                L[i, i] = np.sqrt(value)
+            else:
+                return False
+        for j in range(i + 1, n):
+            L[i, j] = 0.0
+    return True
+
+
+@_jit
+def _solved(L: Array, X: Array) -> None:
+    """Replace X by L^-1 X."""
+    n, columns = X.shape
+    for i in range(n):
+        for k in range(i):
+            factor = L[i, k]
+            for c in range(columns):
+                X[i, c] -= factor * X[k, c]
+        inverse = 1.0 / L[i, i]
+        for c in range(columns):
+            X[i, c] *= inverse
+
+
+@_jit
+def _multiplied(A: Array, B: Array, out: Array) -> None:
+    """Write A B to out."""
+    for i in range(A.shape[0]):
+        for c in range(B.shape[1]):
+            out[i, c] = 0.0
+        for k in range(A.shape[1]):
+            factor = A[i, k]
+            if factor != 0.0:
+                for c in range(B.shape[1]):
+                    out[i, c] += factor * B[k, c]
+
+
+# The interval
+
+@_jit('void(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], '
+      'f8[:,:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[::1], '
+      'f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1])')
+def _propagate(C_gi, C_sg, error, root, Delta, turn, J_b, slopes, sigma, duration, density, scale,
+               C_gi_after, error_after, root_after, transition):
+    runs, n = error.shape
+    walks = False
+    for each in density:
+        walks = walks or each != 0.0
+    rows = n + (19 if walks else 3)
+    A = np.empty((rows, n))
+    D, S, T, B = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for r in range(runs):
+        _exp(turn[r, 0], turn[r, 1], turn[r, 2], T)
+        _product(Delta[r], T, D)
+        _product(D, C_gi[r], T)
+        _orthonormalized(T, C_gi_after[r])
+        _product(C_sg[r], D, T)                 # C_s1g0
+        _product_by_transposed(T, C_sg[r], S)
+        _product(T, J_b[r], B)
+        Phi = transition[r]
+        Phi[:] = 0.0
+        for i in range(n):
+            Phi[i, i] = 1.0
+        for i in range(3):
+            for j in range(3):
+                Phi[i, j] = S[i, j]
+                Phi[i, 3 + j] = B[i, j]
+                Phi[i, _PSI + j] = (1.0 if i == j else 0.0) - S[i, j]
+            for j in range(slopes.shape[2]):
+                Phi[i, _N + j] = (T[i, 0] * slopes[r, 0, j] + T[i, 1] * slopes[r, 1, j]
+                                  + T[i, 2] * slopes[r, 2, j])
+            value = 0.0
+            for j in range(n):
+                value += Phi[i, j] * error[r, j]
+                Phi[i, j] *= scale[j] / scale[i]
+            error_after[r, i] = value
+        for i in range(3, n):
+            error_after[r, i] = error[r, i]
+        # The rows of A are the columns of [Phi root, Q_root].
+        A[:] = 0.0
+        for c in range(n):
+            for k in range(n):
+                A[c, k] = root[r, k, c]
+        for i in range(3):
+            for c in range(n):
+                value = 0.0
+                for k in range(n):
+                    value += Phi[i, k] * root[r, k, c]
+                A[c, i] = value
+        for i in range(3):
+            A[n + i, i] = sigma[r] / _TURN
+        if walks:
+            step = np.sqrt(duration[r])
+            for k in range(13):
+                A[n + 3 + k, 3 + k] = density[k] * step / scale[3 + k]
+            for i in range(3):
+                for j in range(3):
+                    bias = B[i, j] * density[j] * step / _TURN
+                    A[n + 3 + j, i] = 0.5 * bias
+                    A[n + 16 + j, i] = bias / np.sqrt(12.0)
+                A[n + 6 + i, i] = density[3 + i] * step / _TURN
+        _triangularized(A)
+        for i in range(n):
+            for j in range(n):
+                root_after[r, i, j] = A[j, i] if j <= i else 0.0
+
+
+if sum(_propagate.stats.cache_misses.values()):
+    print('starcal_ros: compiling the filter, once: half a minute', file=sys.stderr, flush=True)
+
+
+def propagate(C_gi: Array, C_sg: Array, error: Array, root: Array, Delta: Array, turn: Array,
+              J_b: Array, slopes: Array, sigma: Array, duration: Array, density: Array,
+              scale: Array) -> Carried:
+    """Do as `reference.propagate`."""
+    after = Carried(np.empty(C_gi.shape), np.empty(error.shape), np.empty(root.shape),
+                    np.empty(root.shape))
+    _propagate(*map(_ready, (C_gi, C_sg, error, root, Delta, turn, J_b, slopes, sigma, duration,
+                             density, scale)), *after)
+    return after
+
+
+# The frame
+
+@_jit
+def _seen(x0: float, y0: float, z0: float, camera: Array, pitch_mm: float, uv: Array, H_s: Array,
+          H_lens: Array) -> None:
+    """As `core.camera.linearize`, of one star."""
+    u0, v0, f, k1, k2, p1, p2 = (camera[0], camera[1], camera[2], camera[3], camera[4], camera[5],
+                                 camera[6])
+    scale = 1.0 / pitch_mm
+    a, b = x0 / z0, y0 / z0
+    x, y = -f * a, -f * b
+    rr = x * x + y * y
+    s = 1.0 + rr * (k1 + k2 * rr) + 2.0 * (p1 * x + p2 * y)
+    uv[0], uv[1] = u0 + scale * (x * s + p1 * rr), v0 + scale * (y * s + p2 * rr)
+    bend = 2.0 * (k1 + 2.0 * k2 * rr)
+    bend_x, bend_y = bend * x, bend * y
+    D_xx = scale * (s + x * (bend_x + 4.0 * p1))
+    D_xy = scale * (y * (bend_x + 2.0 * p1) + 2.0 * p2 * x)
+    D_yy = scale * (s + y * (bend_y + 4.0 * p2))
+    f_ab, f_aa, f_bb = f * a * b, -f * (1.0 + a * a), f * (1.0 + b * b)
+    H_s[0, 0] = D_xx * f_ab + D_xy * f_bb
+    H_s[1, 0] = D_xy * f_ab + D_yy * f_bb
+    H_s[0, 1] = D_xx * f_aa - D_xy * f_ab
+    H_s[1, 1] = D_xy * f_aa - D_yy * f_ab
+    H_s[0, 2] = D_xy * x - D_xx * y
+    H_s[1, 2] = D_yy * x - D_xy * y
+    H_lens[0, 0] = H_lens[1, 1] = 1.0
+    H_lens[0, 1] = H_lens[1, 0] = 0.0
+    H_lens[0, 2] = -(D_xx * a + D_xy * b)
+    H_lens[1, 2] = -(D_xy * a + D_yy * b)
+    xx, yy = scale * x * x, scale * y * y
+    r2, rr = x * x + y * y, xx + yy
+    H_lens[0, 3] = x * rr
+    H_lens[1, 3] = y * rr
+    H_lens[0, 4] = x * rr * r2
+    H_lens[1, 4] = y * rr * r2
+    H_lens[0, 5] = rr + 2.0 * xx
+    H_lens[1, 5] = H_lens[0, 6] = 2.0 * scale * x * y
+    H_lens[1, 6] = rr + 2.0 * yy
+
+
+@_jit('b1(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], '
+      'f8[:,::1], f8, f8)')
+def _bends(C_si, u_i, sigma, error, root, intrinsics, shift, largest, pitch_mm, cos_field):
+    runs, n = error.shape
+    spread = np.empty(len(largest))
+    for r in range(runs):
+        C, fits = C_si[r], False
+        for k in range(n):
+            fits = fits or error[r, k] != 0.0
+        if fits:
+            continue
+        finest = np.inf
+        for star in range(sigma.shape[1]):
+            u0, u1, u2 = u_i[r, star, 0], u_i[r, star, 1], u_i[r, star, 2]
+            x = u0 * C[0, 0] + u1 * C[0, 1] + u2 * C[0, 2]
+            y = u0 * C[1, 0] + u1 * C[1, 1] + u2 * C[1, 2]
+            ahead = u0 * C[2, 0] + u1 * C[2, 1] + u2 * C[2, 2]
+            if ahead > cos_field * np.sqrt(x * x + y * y + ahead * ahead):
+                finest = min(finest, sigma[r, star])
+        if not np.isfinite(finest):
+            continue
+        moved = finest
+        for i in range(len(largest)):
+            state = i if i < 3 else _LENS + i - 3
+            square = 0.0
+            for k in range(n):
+                square += root[r, state, k] * root[r, state, k]
+            spread[i] = np.sqrt(square) * SCALE[state]
+            if i >= 3:
+                moved += shift[i - 3] * spread[i]
+        most = moved * pitch_mm / intrinsics[r, 2]
+        for i in range(3):
+            spread[i] *= min(1.0, most / max(spread[i], 1e-300))
+        bound = 0.0
+        for i in range(len(largest)):
+            for k in range(len(largest)):
+                bound += spread[i] * largest[i, k] * spread[k]
+        if np.sqrt(REPEATS / 2.0) * bound > MATTERS * finest:
+            return True
+    return False
+
+
+def bends(C_si: Array, u_i: Array, sigma: Array, error: Array, root: Array, intrinsics: Array,
+          shift: Array, largest: Array, pitch_mm: float, cos_field: float) -> bool:
+    """Do as `reference.bends`."""
+    return bool(_bends(*map(_ready, (C_si, u_i, sigma, error, root, intrinsics, shift, largest)),
+                       pitch_mm, cos_field))
+
+
+@_jit('b1(f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], '
+      'f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], '
+      'f8[::1], f8, f8, f8, b1, '
+      'f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], '
+      'f8[:,::1], b1[:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], '
+      'f8[:,:,::1])')
+def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, trail, u_i, uv, sigma,
+             left_out, scale, pitch_mm, cos_field, gate, feedback,
+             error_after, root_after, C_gi_after, bias_after, C_sg_after, intrinsics_after, freed,
+             chi2, accepted, residual, nis, spread, z_used, H_used, M_used, L):
+    runs, n = error.shape
+    stars, m = u_i.shape[1], slopes.shape[2]
+    H, white, M = np.empty((2 * stars, n)), np.empty((2, n)), np.empty((2, n))
+    z = np.empty((stars, 2))
+    H_s, H_lens, at, A = np.empty((2, 3)), np.empty((2, 7)), np.empty(2), np.empty((n, n))
+    right = np.empty((n, n + 1))
+    T, S, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    good = True
+    for r in range(runs):
+        C, lens = C_si[r], intrinsics[r]
+        A[:] = 0.0
+        right[:] = 0.0
+        square, widest, trails = 0.0, 0.0, False
+        for k in range(3):
+            trails = trails or trail[r, k] != 0.0
+        for i in range(n):
+            A[i, i] = 1.0
+        for star in range(stars):
+            u0, u1, u2 = u_i[r, star, 0], u_i[r, star, 1], u_i[r, star, 2]
+            x = u0 * C[0, 0] + u1 * C[0, 1] + u2 * C[0, 2]
+            y = u0 * C[1, 0] + u1 * C[1, 1] + u2 * C[1, 2]
+            ahead = u0 * C[2, 0] + u1 * C[2, 1] + u2 * C[2, 2]
+            in_view = ahead > cos_field * np.sqrt(x * x + y * y + ahead * ahead)
+            if not in_view:
+                x, y, ahead = 0.0, 0.0, 1.0
+            _seen(x, y, ahead, lens, pitch_mm, at, H_s, H_lens)
+            for i in range(2):
+                row = H[2 * star + i]
+                row[:] = 0.0
+                if m:
+                    for j in range(3):
+                        row[j] = (H_s[i, 0] * shift[r, 0, j] + H_s[i, 1] * shift[r, 1, j]
+                                  + H_s[i, 2] * shift[r, 2, j])
+                    for j in range(m):
+                        row[_N + j] = (H_s[i, 0] * slopes[r, 0, j] + H_s[i, 1] * slopes[r, 1, j]
+                                       + H_s[i, 2] * slopes[r, 2, j])
+                else:
+                    for j in range(3):
+                        row[j] = H_s[i, j]
+                for j in range(7):
+                    row[_LENS + j] = H_lens[i, j]
+                z[star, i] = at[i] - uv[r, star, i]
+            first, second = H[2 * star], H[2 * star + 1]
+            z_u, z_v = 0.0, 0.0
+            for j in range(n):
+                z_u += first[j] * error[r, j]
+                z_v += second[j] * error[r, j]
+            z_u, z_v = z[star, 0] - z_u, z[star, 1] - z_v
+            i_uu, i_vu, i_vv = 1.0, 0.0, 1.0
+            if trails:
+                a, b = 0.0, 0.0
+                for j in range(3):
+                    a += first[j] * trail[r, j]
+                    b += second[j] * trail[r, j]
+                i_uu = 1.0 / np.sqrt(1.0 + a * a)
+                i_vv = np.sqrt((1.0 + a * a) / (1.0 + a * a + b * b))
+                i_vu = -a * b / (1.0 + a * a) * i_vv
+            deviation = sigma[r, star]
+            if left_out[r, star] > 0.0:
+                deviation = np.hypot(deviation, left_out[r, star])
+            weight = 1.0 / deviation
+            z_u, z_v = i_uu * z_u * weight, (i_vu * z_u + i_vv * z_v) * weight
+            for j in range(n):
+                white[0, j] = i_uu * first[j] * scale[j] * weight
+                white[1, j] = (i_vu * first[j] + i_vv * second[j]) * scale[j] * weight
+            _multiplied(white, root[r], M)
+            uu, uw, ww = 0.0, 0.0, 0.0
+            for j in range(n):
+                uu += M[0, j] * M[0, j]
+                uw += M[0, j] * M[1, j]
+                ww += M[1, j] * M[1, j]
+            gain = uw / (1.0 + uu)
+            rest = 0.0
+            for j in range(n):
+                left = M[1, j] - gain * M[0, j]
+                rest += left * left
+            across = z_v - gain * z_u
+            chi2[r, star] = z_u * z_u / (1.0 + uu) + across * across / (
+                1.0 + gain * gain + rest)
+            use = in_view and np.isfinite(deviation) and chi2[r, star] <= gate
+            accepted[r, star] = use
+            if not use:
+                for i in range(2 * star, 2 * star + 2):
+                    z_used[r, i] = 0.0
+                    for j in range(n):
+                        H_used[r, i, j] = M_used[r, i, j] = 0.0
+                continue
+            widest = max(widest, uu, ww)
+            z_used[r, 2 * star], z_used[r, 2 * star + 1] = z_u, z_v
+            square += z_u * z_u + z_v * z_v
+            for i in range(2):
+                for j in range(n):
+                    H_used[r, 2 * star + i, j] = white[i, j]
+                    M_used[r, 2 * star + i, j] = M[i, j]
+                each = z_u if i == 0 else z_v
+                for j in range(n):
+                    factor = M[i, j]
+                    right[j, n] += factor * each
+                    for k in range(j + 1):
+                        A[j, k] += factor * M[i, k]
+        spread[r] = np.sqrt(widest)
+        good = _factored(A, L[r]) and good
+        for i in range(n):
+            for j in range(n):
+                right[i, j] = root[r, j, i]
+        _solved(L[r], right)
+        explained = 0.0
+        for i in range(n):
+            explained += right[i, n] * right[i, n]
+            for j in range(n):
+                root_after[r, j, i] = right[i, j]
+        nis[r] = square - explained
+        for i in range(n):
+            step = 0.0
+            for k in range(n):
+                step += root_after[r, i, k] * right[k, n]
+            error_after[r, i] = error[r, i] + scale[i] * step
+        for star in range(stars):
+            for i in range(2):
+                value = 0.0
+                for j in range(n):
+                    value += H[2 * star + i, j] * error_after[r, j]
+                residual[r, star, i] = value - z[star, i]
+        freed[r] = 0.0
+        C_gi_after[r], bias_after[r], C_sg_after[r] = C_gi[r], bias[r], C_sg[r]
+        intrinsics_after[r] = lens
+        if feedback:
+            e = error_after[r]
+            _product(C_sg[r], C_gi[r], T)
+            _exp(-e[0], -e[1], -e[2], turn)
+            _product(turn, T, S)                # C_si after
+            _exp(-e[_PSI], -e[_PSI + 1], -e[_PSI + 2], turn)
+            _product(turn, C_sg[r], T)
+            _orthonormalized(T, C_sg_after[r])
+            _transposed_product(C_sg_after[r], S, T)
+            _orthonormalized(T, C_gi_after[r])
+            for k in range(3):
+                bias_after[r, k] = bias[r, k] - e[3 + k]
+            for k in range(7):
+                intrinsics_after[r, k] = intrinsics[r, k] - e[_LENS + k]
+            for k in range(n):
+                freed[r, k] = e[k]
+                e[k] = 0.0
+    return good
+
+
+def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array, root: Array,
+            C_si: Array, shift: Array, slopes: Array, trail: Array, u_i: Array, uv: Array,
+            sigma: Array, left_out: Array, scale: Array, pitch_mm: float, cos_field: float,
+            gate: float, feedback: bool) -> Corrected:
+    """Do as `reference.correct`; LinAlgError where what is believed is no covariance."""
+    (runs, n), rows = error.shape, 2 * sigma.shape[1]
+    after = Corrected(
+        np.empty(error.shape), np.empty(root.shape), np.empty(C_gi.shape), np.empty(bias.shape),
+        np.empty(C_sg.shape), np.empty(intrinsics.shape), np.empty(error.shape),
+        np.empty(sigma.shape), np.empty(sigma.shape, np.bool_), np.empty(uv.shape),
+        np.empty(runs), np.empty(runs), np.empty((runs, rows)), np.empty((runs, rows, n)),
+        np.empty((runs, rows, n)), np.empty(root.shape))
+    if not _correct(*map(_ready, (C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes,
+                                  trail, u_i, uv, sigma, left_out, scale)),
+                    pitch_mm, cos_field, gate, feedback, *after):
+        raise np.linalg.LinAlgError("no Cholesky factor of I + M'M")
+    return after
+
+
+# The tests of the model
+
+@_jit('void(f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], '
+      'f8[:,:,::1], f8[::1], f8[:,:,::1])')
+def _carry(E, Phi, C_gi_before, C_gi, C_sg, Delta, J, duration, drift):
+    runs, n, columns = E.shape
+    rows = np.empty((3, columns))
+    C, T, B, rate = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for r in range(runs):
+        _multiplied(Phi[r, :3], E[r], rows)
+        E[r, :3] = rows
+        _product_by_transposed(C_gi[r], C_gi_before[r], C)
+        span = max(duration[r], 1e-9)
+        rate[0] = 0.5 * (C[1, 2] - C[2, 1]) / span
+        rate[1] = 0.5 * (C[2, 0] - C[0, 2]) / span
+        rate[2] = 0.5 * (C[0, 1] - C[1, 0]) / span
+        _product(C_sg[r], Delta[r], T)
+        for i in range(3):
+            for j in range(3):
+                B[i, j] = -(T[i, 0] * J[r, 0, j] + T[i, 1] * J[r, 1, j] + T[i, 2] * J[r, 2, j]) * (
+                    1e-6 / _TURN)
+        for i in range(3):
+            for j in range(3):
+                E[r, i, WIDTH * SCALE_FACTORS + j] += B[i, j] * rate[j]
+            E[r, i, WIDTH * MISALIGNMENTS] += B[i, 0] * rate[1] + B[i, 1] * rate[0]
+            E[r, i, WIDTH * MISALIGNMENTS + 1] += B[i, 0] * rate[2] + B[i, 2] * rate[0]
+            E[r, i, WIDTH * MISALIGNMENTS + 2] += B[i, 1] * rate[2] + B[i, 2] * rate[1]
+        for i in range(_N):
+            for effect in range(_N_DRIFTS):
+                for j in range(WIDTH):
+                    E[r, i, WIDTH * (_DRIFTS + effect) + j] += (
+                        drift[i, effect, j] * duration[r])
+
+
+def carry(E: Array, Phi: Array, C_gi_before: Array, C_gi: Array, C_sg: Array, Delta: Array,
+          J: Array, duration: Array) -> None:
+    """Do as `reference.carry`."""
+    _carry(E, *map(_ready, (Phi, C_gi_before, C_gi, C_sg, Delta, J, duration)), _HOURLY)
+
+
+@_jit
+def _direct(H, C, rate_s, u_i, uv, magnitude, half, d, along):
+    """As `hypotheses.direct`: the dense columns to d, those of the cells to along."""
+    corner = np.sqrt(half[0] * half[0] + half[1] * half[1])
+    for star in range(len(uv)):
+        u, v = uv[star, 0], uv[star, 1]
+        r0 = C[0, 0] * u_i[star, 0] + C[0, 1] * u_i[star, 1] + C[0, 2] * u_i[star, 2]
+        r1 = C[1, 0] * u_i[star, 0] + C[1, 1] * u_i[star, 1] + C[1, 2] * u_i[star, 2]
+        r2 = C[2, 0] * u_i[star, 0] + C[2, 1] * u_i[star, 1] + C[2, 2] * u_i[star, 2]
+        x, y = u / corner, v / corner
+        r6 = (x * x + y * y)**3
+        sin_u, cos_u = np.sin(2.0 * np.pi * u), np.cos(2.0 * np.pi * u)
+        sin_v, cos_v = np.sin(2.0 * np.pi * v), np.cos(2.0 * np.pi * v)
+        fainter = magnitude[star] - MIDDLE_MAGNITUDE
+        if np.isnan(fainter):
+            fainter = 0.0
+        for i in range(2 * star, 2 * star + 2):
+            h0, h1, h2 = H[i, 0] / _TURN, H[i, 1] / _TURN, H[i, 2] / _TURN
+            a, b = -H[i, _LENS] / _SCALE_U, -H[i, _LENS + 1] / _SCALE_V
+            along[i, 0], along[i, 1] = a, b
+            d[i, 0] = 1e-3 * (h0 * rate_s[0] + h1 * rate_s[1] + h2 * rate_s[2])
+            c0, c1, c2 = h1 * r2 - h2 * r1, h2 * r0 - h0 * r2, h0 * r1 - h1 * r0
+            for j in range(3):
+                d[i, 1 + j] = -KM_S * (c0 * C[0, j] + c1 * C[1, j] + c2 * C[2, j])
+            d[i, 4] = a * x * r6 + b * y * r6
+            d[i, 5] = a * x - b * y
+            d[i, 6] = a * y + b * x
+            d[i, 7], d[i, 8] = a * sin_u, a * cos_u
+            d[i, 9], d[i, 10] = b * sin_v, b * cos_v
+            d[i, 11], d[i, 12] = a * fainter, b * fainter
+
+
+@_jit('void(f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], '
+      'f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], '
+      'f8[:,::1], b1[:,::1], f8[::1], f8[::1], f8[::1], '
+      'b1[::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[:,::1], f8[::1])')
+def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, magnitude, accepted,
+           spread, nis, half, judged, e, L_N, normal, cell, log_det):
+    # With P = L^-1 M': D' S^-1 D = D' D - (P D)' (P D) of any directions D. Of effects that move
+    # the states alone D = H E, of the others H E + d, d of few columns or few rows.
+    runs, n, columns = E.shape
+    stars = accepted.shape[1]
+    rows, effects = 2 * stars, columns // WIDTH
+    P, Y, G, g, y = (np.empty((n, rows)), np.empty((n, n)), np.empty((n, n)), np.empty(n),
+                     np.empty(n))
+    d, along = np.empty((rows, _N_DENSE)), np.empty((rows, 2))
+    wide = _N_DENSE + 2 * _N_CELLS
+    X, HSd = np.empty((n, wide)), np.empty((n, wide))       # P d, H' S^-1 d
+    dSd, dSz = np.empty((wide, wide)), np.empty(wide)
+    place = np.empty(wide, np.int64)
+    place[:_N_DENSE] = _DENSE
+    for k in range(_N_CELLS):
+        for j in range(2):
+            place[_N_DENSE + 2 * k + j] = WIDTH * (_CELL + k) + j
+    N, v = np.empty((3, 3)), np.empty(3)
+    both, F, RX = np.empty((2 * n, columns)), np.empty((2 * n, n)), np.empty((n, wide))
+    for r in range(runs):
+        Hr, Mr, zr = H[r], M[r], z[r]
+        used = 0
+        log_det[r] = 0.0
+        for k in range(n):
+            log_det[r] += 2.0 * np.log(L[r, k, k])
+        for star in range(stars):
+            if accepted[r, star]:
+                used += 1
+                log_det[r] += 4.0 * np.log(sigma[r, star])
+            for i in range(2):
+                row, square = 2 * star + i, 0.0
+                for k in range(n):
+                    square += Mr[row, k] * Mr[row, k]
+                    P[k, row] = Mr[row, k]
+                normal[r, star, i] = zr[row] / np.sqrt(1.0 + square)
+            x = int((uv[r, star, 0] / half[0] + 1.0) * (0.5 * CELLS))
+            w = int((uv[r, star, 1] / half[1] + 1.0) * (0.5 * CELLS))
+            cell[r, star] = CELLS * min(max(w, 0), CELLS - 1) + min(max(x, 0), CELLS - 1)
+        _solved(L[r], P)
+        # Y = P H, y = P z, G = H' S^-1 H, g = H' S^-1 z
+        _multiplied(P, Hr, Y)
+        G[:] = 0.0
+        g[:] = 0.0
+        for row in range(rows):
+            for i in range(n):
+                factor = Hr[row, i]
+                if factor != 0.0:
+                    g[i] += factor * zr[row]
+                    for j in range(n):
+                        G[i, j] += factor * Hr[row, j]
+        for i in range(n):
+            value = 0.0
+            for row in range(rows):
+                value += P[i, row] * zr[row]
+            y[i] = value
+            for k in range(n):
+                factor = Y[i, k]
+                g[k] -= factor * value
+                for j in range(n):
+                    G[k, j] -= factor * Y[i, j]
+        for i in range(3):
+            v[i] = g[i] / _TURN
+            for j in range(3):
+                N[i, j] = G[i, j] / _TURN / _TURN
+        judged[r] = False
+        if used > 2 and spread[r] < SPREAD and np.isfinite(nis[r]):
+            values = np.linalg.eigvalsh(N)
+            judged[r] = values[0] > BLIND * values[2] and _factored(N, L_N[r])
+        if judged[r]:
+            for i in range(3):
+                value = v[i]
+                for k in range(i):
+                    value -= L_N[r, i, k] * e[r, k]
+                e[r, i] = value / L_N[r, i, i]
+        else:
+            L_N[r] = np.eye(3)
+            e[r] = v
+        # Direct effects
+        _direct(Hr, C_si[r], rate_s[r], u_i[r], uv[r], magnitude[r], half, d, along)
+        X[:] = 0.0
+        HSd[:] = 0.0
+        dSd[:] = 0.0
+        dSz[:] = 0.0
+        for row in range(rows):
+            base = _N_DENSE + 2 * cell[r, row // 2]
+            for k in range(n):
+                p, h = P[k, row], Hr[row, k]
+                for c in range(_N_DENSE):
+                    X[k, c] += p * d[row, c]
+                    HSd[k, c] += h * d[row, c]
+                for c in range(2):
+                    X[k, base + c] += p * along[row, c]
+                    HSd[k, base + c] += h * along[row, c]
+            for c in range(_N_DENSE):
+                dSz[c] += d[row, c] * zr[row]
+                for b in range(_N_DENSE):
+                    dSd[c, b] += d[row, c] * d[row, b]
+            for c in range(2):
+                dSz[base + c] += along[row, c] * zr[row]
+                for b in range(2):
+                    dSd[base + c, base + b] += along[row, c] * along[row, b]
+        for k in range(n):
+            for c in range(wide):
+                x = X[k, c]
+                dSz[c] -= x * y[k]
+                last = place[c] // WIDTH
+                for b in range(max(c - 2, 0), min(c + 3, wide)):
+                    if place[b] // WIDTH == last:
+                        dSd[c, b] -= x * X[k, b]
+            for i in range(n):
+                factor = Y[k, i]
+                for c in range(wide):
+                    HSd[i, c] -= factor * X[k, c]
+        # E <- E - root (Y E + X), and G E, in one product
+        for i in range(n):
+            for j in range(n):
+                value = 0.0
+                for k in range(n):
+                    value += root[r, i, k] * Y[k, j]
+                F[i, j] = (1.0 if i == j else 0.0) - value
+                F[n + i, j] = G[i, j]
+        _multiplied(F, E[r], both)
+        if judged[r]:
+            for effect in range(effects):
+                for a in range(WIDTH):
+                    c = WIDTH * effect + a
+                    value = 0.0
+                    for k in range(n):
+                        value += E[r, k, c] * g[k]
+                    s[r, effect, a] += value
+                    for b in range(a + 1):
+                        other, value = WIDTH * effect + b, 0.0
+                        for k in range(n):
+                            value += E[r, k, c] * both[n + k, other]
+                        information[r, effect, a, b] += value
+                        if b < a:
+                            information[r, effect, b, a] += value
+            for c in range(wide):
+                effect, a = place[c] // WIDTH, place[c] % WIDTH
+                s[r, effect, a] += dSz[c]
+                # E' H' S^-1 d of all columns of the effect, and its transposed
+                for b in range(WIDTH):
+                    value = 0.0
+                    for k in range(n):
+                        value += E[r, k, WIDTH * effect + b] * HSd[k, c]
+                    information[r, effect, b, a] += value
+                    information[r, effect, a, b] += value
+                for b in range(max(c - 2, 0), min(c + 3, wide)):
+                    if place[b] // WIDTH == effect:
+                        information[r, effect, a, place[b] % WIDTH] += dSd[c, b]
+        _multiplied(root[r], X, RX)
+        for i in range(n):
+            for c in range(columns):
+                E[r, i, c] = both[i, c]
+            for c in range(wide):
+                E[r, i, place[c]] -= RX[i, c]
+
+
+def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Array,
+          information: Array, C_si: Array, rate_s: Array, u_i: Array, uv: Array, sigma: Array,
+          magnitude: Array, accepted: Mask, spread: Array, nis: Array, half: Array) -> TurnFound:
+    """Do as `reference.judge`."""
+    runs = len(nis)
+    found = TurnFound(
+        np.empty(runs, np.bool_), np.empty((runs, 3)), np.empty((runs, 3, 3)), np.empty(uv.shape),
+        np.empty(sigma.shape, np.int64), np.empty(runs))
+    _judge(*map(_ready, (z, H, M, L, root)), E, s, information,
+           *map(_ready, (C_si, rate_s, u_i, uv, sigma, magnitude, accepted, spread, nis, half)),
+           *found)
+    return found
+
+
+@_jit('void(f8[::1], f8[:,::1], f8, i8, f8[::1], f8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], '
+      'f8[::1], b1, i8[::1], f8[::1], f8[:,::1], i8[::1], f8[::1], i8[::1], f8[::1])')
+def _tally(e, L, nis, used, rate, normal, cell, magnitude, run, window, last, follows, rows,
+           star_frames, star_sums, cell_count, cell_squares, magnitude_count, magnitude_squares):
+    turn, along, square, lag = 0.0, 0.0, 0.0, 0.0
+    added = np.zeros(SUMS)
+    for j in range(3):
+        w = rate[0] * L[0, j] + rate[1] * L[1, j] + rate[2] * L[2, j]
+        turn += e[j] * e[j]
+        along += w * e[j]
+        square += w * w
+        lag += e[j] * last[j]
+        last[j] = added[SUMS - 3 + j] = e[j]
+    added[FRAMES], added[FREEDOM], added[TURN], added[REST] = 1.0, 2 * used - 3, turn, nis - turn
+    added[ALONG], added[RATE] = along, square
+    if follows:
+        added[PAIRS], added[LAG] = 1.0, lag
+    for k in range(SUMS):
+        run[k] += added[k]
+        window[k] += added[k]
+    for star in range(len(rows)):
+        row, square = rows[star], 0.0
+        star_frames[row] += 1.0
+        for i in range(2):
+            star_sums[row, i] += normal[star, i]
+            square += normal[star, i] * normal[star, i]
+        cell_count[cell[star]] += 1
+        cell_squares[cell[star]] += square
+        if np.isfinite(magnitude[star]):
+            kind = 0
+            for edge in MAGNITUDES:
+                kind += edge < magnitude[star]
+            magnitude_count[kind] += 1
+            magnitude_squares[kind] += square
+
+
+def tally(frame: FrameInnovation, run: Array, window: Array, last: Array, follows: bool,
+          rows: Ints, star_frames: Array, star_sums: Array, cell_count: Ints, cell_squares: Array,
+          magnitude_count: Ints, magnitude_squares: Array) -> None:
+    """Do as `frame_innovation.tally`."""
+    e, L, nis, used, rate, _, normal, cell, magnitude = frame
+    _tally(*map(_ready, (e, L)), nis, used, *map(_ready, (rate, normal, cell, magnitude)), run,
+           window, last, follows, _ready(rows), star_frames, star_sums, cell_count, cell_squares,
+           magnitude_count, magnitude_squares)
+
+
+def _ready(part: NDArray[Any]) -> NDArray[Any]:
+    """Return an array as the compiled functions take it: contiguous and writable."""
+    return part if part.flags.carray else np.array(part, order='C')

@@ -1,0 +1,229 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled arithmetic is that of the reference, for any states, and run by run."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from instruments import DETECTOR, INTRINSICS, TAN2018
+from starcal_ros.core import rotation
+from starcal_ros.filter import arithmetic, frame_innovation, kernel, reference
+from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.frame_innovation import SUMS, FrameInnovation
+from starcal_ros.filter.states import SCALE
+from starcal_ros.simulation import sensors
+
+RUNS, STARS = 5, 9
+CURVATURE = Filter(TAN2018)._curvature
+FUNCTIONS = ('bends', 'carry', 'correct', 'judge', 'propagate', 'tally')
+OPTIONAL = {'estimator.augment.time_offset_sigma_s': 0.005,
+            'estimator.augment.gyro_matrix_sigma_ppm': 500.0}
+
+
+def some(m, runs=RUNS, seed=1):
+    """Return nominal values, errors and the root of some runs with m optional states."""
+    rng = np.random.default_rng(seed)
+    C_gi, C_sg = (rotation.exp(rng.normal(size=(runs, 3))) for _ in range(2))
+    root = np.tril(rng.normal(size=(runs, 16 + m, 16 + m))) + 3.0 * np.eye(16 + m)
+    scale = np.append(SCALE, np.full(m, 1e-5))
+    return (rng, C_gi, 1e-7 * rng.normal(size=(runs, 3)), C_sg,
+            INTRINSICS * (1.0 + 1e-4 * rng.normal(size=(runs, 7))),
+            scale * rng.normal(size=(runs, 16 + m)), root, scale)
+
+
+def an_interval(m, walks, runs=RUNS):
+    rng, C_gi, _, C_sg, _, error, root, scale = some(m, runs)
+    density = walks * 1e-2 * SCALE[3:]
+    return (C_gi, C_sg, error, root, rotation.exp(0.01 * rng.normal(size=(runs, 3))),
+            1e-5 * rng.normal(size=(runs, 3)), rng.normal(size=(runs, 3, 3)),
+            rng.normal(size=(runs, 3, m)), 1e-6 * rng.random(runs), rng.random(runs), density,
+            scale)
+
+
+def a_frame(m, trails=True, left_out=True, gate=np.inf, feedback=True, runs=RUNS):
+    rng, C_gi, bias, C_sg, intrinsics, error, root, scale = some(m, runs)
+    shift = rotation.exp(1e-4 * rng.normal(size=(runs, 3))) if m else np.broadcast_to(
+        np.eye(3), (runs, 3, 3))
+    C_si = shift @ C_sg @ C_gi
+    half = 0.5 * np.array([DETECTOR.width, DETECTOR.height])
+    uv = half * rng.uniform(-0.9, 0.9, size=(runs, STARS, 2))
+    at_s = np.concatenate((-uv * DETECTOR.pitch_mm / INTRINSICS[2], np.ones((runs, STARS, 1))),
+                          axis=-1)
+    at_s[:, 2] = 1.0, 0.0, -1.0                     # behind the camera
+    u_i = at_s @ C_si / np.linalg.norm(at_s, axis=-1, keepdims=True)
+    sigma = rng.uniform(0.05, 0.2, size=(runs, STARS))
+    sigma[:, 4] = np.inf
+    return (C_gi, bias, C_sg, intrinsics, error if not feedback else 0.0 * error, root, C_si,
+            shift, rng.normal(size=(runs, 3, m)), trails * 0.01 * rng.normal(size=(runs, 3)), u_i,
+            uv + rng.normal(size=uv.shape), sigma,
+            left_out * 0.1 * (rng.random(sigma.shape) < 0.3), scale, DETECTOR.pitch_mm, 0.9, gate,
+            feedback)
+
+
+def same(found, expected):
+    for name, left, right in zip(expected._fields, found, expected):
+        scale = 1.0 + np.abs(right).max(initial=0.0)
+        np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-11 * scale, err_msg=name)
+
+
+@pytest.mark.parametrize('walks', [False, True])
+@pytest.mark.parametrize('m', [0, 4])
+def test_an_interval_is_that_of_the_reference(m, walks):
+    same(kernel.propagate(*an_interval(m, walks)), reference.propagate(*an_interval(m, walks)))
+
+
+@pytest.mark.parametrize('options', [
+    {}, {'m': 4}, {'trails': False, 'left_out': False}, {'gate': 200.0}, {'feedback': False},
+    {'gate': -1.0}])
+def test_a_frame_is_that_of_the_reference(options):
+    frame = a_frame(**{'m': 0, **options})
+    found, expected = kernel.correct(*frame), reference.correct(*frame)
+    assert expected.accepted.any() == (options.get('gate') != -1.0)
+    assert not expected.accepted.all()
+    same(found, expected)
+
+
+@pytest.mark.parametrize('m', [0, 4])
+def test_the_tests_of_the_model_are_those_of_the_reference(m):
+    rng = np.random.default_rng(3)
+    frame = a_frame(m)
+    after = reference.correct(*frame)
+    E = rng.normal(size=(RUNS, 16 + m, 3 * 40))
+    interval = an_interval(m, False)
+    carried = reference.propagate(*interval)
+    parts = []
+    for part in (kernel, reference):
+        E_one, s, information = E.copy(), np.ones((RUNS, 40, 3)), np.ones((RUNS, 40, 3, 3))
+        part.carry(E_one, carried.Phi, interval[0], carried.C_gi, interval[1], interval[4],
+                   interval[6], interval[9])
+        spread = np.array([0.0, *after.spread[1:]])       # at least one tells something
+        judged = part.judge(
+            after.z, after.H, after.M, after.L, after.root, E_one, s, information, frame[6],
+            rng.permutation(0.01 * np.ones((RUNS, 3))), frame[10], frame[11], frame[12],
+            np.where(np.arange(STARS) % 3, 5.5, np.nan) * np.ones((RUNS, 1)), after.accepted,
+            spread, after.nis, 0.5 * np.array([DETECTOR.width, DETECTOR.height], float))
+        parts.append((E_one, s, information, judged))
+    assert parts[0][-1].judged.any()
+    for left, right in zip(parts[0][:3], parts[1][:3]):
+        np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-9 * np.abs(right).max())
+    same(parts[0][-1], parts[1][-1])
+
+
+def test_the_bound_of_what_a_frame_leaves_out_is_that_of_the_reference():
+    _, _, _, _, intrinsics, error, root, _, *_ = a_frame(0)
+    frame = a_frame(0)
+    told = set()
+    for size in np.geomspace(1e-3, 1e3, 25):
+        for still in (0.0, 1.0):
+            parts = (frame[6], frame[10], frame[12], still * SCALE * np.ones((RUNS, 1)),
+                     size * frame[5], frame[3], CURVATURE.shift, CURVATURE.largest,
+                     DETECTOR.pitch_mm, 0.9)
+            assert kernel.bends(*parts) == reference.bends(*parts)
+            told.add((still, kernel.bends(*parts)))
+    assert told == {(0.0, False), (0.0, True), (1.0, False)}
+
+
+def test_the_sums_over_frames_are_those_of_the_reference():
+    rng = np.random.default_rng(4)
+    sums = [[np.zeros(SUMS), np.zeros(SUMS), np.zeros(3), np.zeros(20), np.zeros((20, 2)),
+             np.zeros(16, np.int64), np.zeros(16), np.zeros(6, np.int64), np.zeros(6)]
+            for _ in range(2)]
+    for k in range(20):
+        magnitude = np.where(rng.random(7) < 0.2, np.nan, rng.choice([2.0, 3.0, 5.5, 9.0], 7))
+        frame = FrameInnovation(
+            rng.normal(size=3), rng.normal(size=(3, 3)), 20.0 * rng.random(), 7,
+            rng.normal(size=3), np.arange(7), rng.normal(size=(7, 2)), rng.integers(0, 16, 7),
+            magnitude)
+        rows = rng.integers(0, 20, 7)
+        for tally, (run, window, last, *rest) in zip(
+                (kernel.tally, frame_innovation.tally), sums):
+            tally(frame, run, window, last, k % 5 != 0, rows, *rest)
+    for left, right in zip(*sums):
+        np.testing.assert_allclose(left, right, rtol=1e-12)
+    assert sums[0][0][frame_innovation.PAIRS] == 16.0
+
+
+@pytest.mark.parametrize('m', [0, 4])
+def test_a_run_is_the_same_alone_and_in_a_batch(m):
+    """Bit for bit."""
+    frame, interval = a_frame(m, gate=300.0), an_interval(m, True)
+    for function, parts in ((kernel.correct, frame), (kernel.propagate, interval)):
+        whole = function(*parts)
+        for run in range(RUNS):
+            alone = function(*(part[run:run + 1] if np.ndim(part) and len(part) == RUNS else part
+                               for part in parts))
+            for left, right in zip(alone, whole):
+                np.testing.assert_array_equal(left[0], right[run])
+
+
+def test_what_is_no_covariance_is_an_error_of_linear_algebra():
+    frame = list(a_frame(0))
+    # The square of one star is a number yet, the sum over all of them is not.
+    frame[5] = np.sqrt(1e308) / reference.correct(*frame).spread[:, None, None] * frame[5]
+    with np.errstate(all='ignore'):
+        for part in (kernel, reference):
+            with pytest.raises(np.linalg.LinAlgError):
+                part.correct(*frame)
+
+
+@pytest.mark.parametrize('optional', [{}, OPTIONAL])
+def test_a_calibration_is_that_of_the_reference(optional, monkeypatch):
+    """To a part in 1e9 of a sigma, all tests of the model included."""
+    scenario = TAN2018.replace({'simulation.duration_s': 90.0, **optional})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
+    found = []
+    for part in (kernel, reference):
+        for name in FUNCTIONS:
+            monkeypatch.setattr(arithmetic, name, getattr(part, name))
+        calibrator = Calibrator(scenario)
+        calibrator.add_gyro(samples)
+        calibrator.add_frames(frames)
+        for _ in calibrator.process():
+            pass
+        found.append(calibrator)
+    compiled, plain = (each.belief for each in found)
+    error = compiled.estimate.minus(plain.estimate)
+    assert (np.abs(error[:16]) < 1e-9 * plain.sigma).all()
+    np.testing.assert_allclose(compiled.sigma, plain.sigma, rtol=1e-9)
+    assert found[0].counts == found[1].counts
+    for left, right in zip(*(each.consistency.statistics() for each in found)):
+        assert left.name == right.name
+        assert left.value == pytest.approx(right.value, rel=1e-6, abs=1e-6)
+
+
+def test_without_numba_the_reference_runs():
+    """In a process of its own, where numba can not be imported."""
+    program = ("import sys; sys.modules['numba'] = None\n"
+               'from starcal_ros.filter import arithmetic, reference\n'
+               'assert not arithmetic.COMPILED and arithmetic.correct is reference.correct')
+    subprocess.run([sys.executable, '-c', program], check=True)
+
+
+def test_a_compilation_is_said_once(tmp_path):
+    """With an empty cache, then with what the first process left in it."""
+    program = 'import starcal_ros.filter.arithmetic'
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
+    said = [subprocess.run([sys.executable, '-c', program], check=True, env=environment, text=True,
+                           capture_output=True).stderr for _ in range(2)]
+    assert said == ['starcal_ros: compiling the filter, once: half a minute\n', '']
+
+
+def test_without_a_place_for_the_cache_the_reference_runs_and_it_is_said():
+    program = ('import numba\n'
+               'def refuse(*given, **options):\n'
+               "    raise RuntimeError('cannot cache function')\n"
+               'numba.njit = refuse\n'
+               'from starcal_ros.filter import arithmetic; assert not arithmetic.COMPILED')
+    said = subprocess.run([sys.executable, '-c', program], check=True, text=True,
+                          capture_output=True).stderr
+    assert said == 'starcal_ros: the filter runs uncompiled: cannot cache function\n'
+
+
+def test_with_numba_the_kernel_runs():
+    assert arithmetic.COMPILED and arithmetic.correct is kernel.correct
