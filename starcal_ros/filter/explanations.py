@@ -16,13 +16,16 @@ of freedom, `ALARM` for all that were tried. One that adds to another has to be 
 beyond chance, too. The best is told from the others where it is better by `TOLD`. Of those that
 are as good all are said, and none is adopted, unless they are equal in effect: no state moves by
 more than `ALIKE` of its sigma from one to the other, and no sigma by more than a tenth.
+
+Where tests fail still under the one that is best, those to which they point are tried on top of
+it, up to `MOST` together: what is wrong may be two things. A larger noise covers much that has a
+cause: of those that are best together each is left out once, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 import math
 from typing import Any, NamedTuple
 
@@ -49,7 +52,10 @@ STRETCHES_S = (900.0, 3600.0)
 ALIKE = 0.5
 """Shift of a state, in its sigmas, that makes no difference."""
 
-_WALK = 'estimator.process_noise.'
+MOST = 3
+"""Extensions that are tried together, at most."""
+
+_WALK, _ADAPT = 'estimator.process_noise.', 'estimator.adapt'
 _TIME_S, _MATRIX_PPM = 0.01, 500.0      # initial sigmas, at least
 _WIDE = 3.0                             # sigma over the size that the bank has found
 _SIGMA = 1.1                            # ratio of two sigmas that makes no difference
@@ -182,27 +188,92 @@ def explain(gyro: GyroSamples, frames: Frames, scenario: Scenario, calibrated: C
                 each.passed for each in base.consistency.statistics()):
             break
 
-    @cache
-    def noise() -> Sequence[NoiseLevel]:
-        keys = {key for each in candidates if each.values.get('estimator.adapt')
-                for key in each.sought}
-        return Search(*part, scenario, sorted(keys), covariance).found()
-
-    runs: dict[str, Calibrator] = {}
-    tried, n = [], max(len(part[1]), 2)
-    for k, candidate in enumerate(candidates):
-        run, values = _tried(candidate, *part, scenario, covariance, noise)
-        gain = float(run.consistency.likelihood.twice_log
-                     - base.consistency.likelihood.twice_log)
-        runs[candidate.name] = run
-        tried.append(Tried(candidate.name, values, candidate.numbers, gain,
-                           gain - candidate.numbers * math.log(n),
-                           gain > chi2_beyond(ALARM / len(candidates), candidate.numbers)))
-        on_progress((k + 1) / len(candidates))
-    tried.sort(key=lambda each: -each.score)
-    best = _best(tried, len(candidates))
-    return Explanations(tuple(tried), best, _alike([runs[each.name] for each in best]),
+    trials = _Trials(part, scenario, covariance, base)
+    together: tuple[Candidate, ...] = ()
+    for step in range(MOST):
+        trials.levels |= {key for each in candidates if each.values.get(_ADAPT)
+                          for key in each.sought}
+        for k, candidate in enumerate(candidates):
+            trials.attempt((*together, candidate))
+            on_progress((step + (k + 1) / len(candidates)) / (MOST + 1))
+        best = trials.best()
+        # Only what is told from all others can be built on.
+        if len(best) != 1 or best[0].parts == together:
+            break
+        together = best[0].parts
+        tests = best[0].run.consistency
+        candidates = [each for each in _pointed(
+            tests.statistics(), scenario.replace(best[0].tried.values), tests)
+            if each.name not in {one.name for one in together}]
+    for each in together if len(together) > 1 else ():
+        trials.attempt(tuple(other for other in together if other is not each))
+    on_progress(1.0)
+    best = trials.best()
+    return Explanations(tuple(each.tried for each in trials.found),
+                        tuple(each.tried for each in best), _alike([each.run for each in best]),
                         float(frames_s(part[1])))
+
+
+class _Attempt(NamedTuple):
+    """Some extensions together, what came of them, and the calibrator that had them."""
+
+    parts: tuple[Candidate, ...]
+    tried: Tried
+    run: Calibrator
+
+
+class _Trials:
+    """What was tried on a stretch of the messages, the best first."""
+
+    def __init__(self, part: tuple[GyroSamples, Frames], scenario: Scenario,
+                 covariance: Array | None, base: Calibrator) -> None:
+        self._part, self._scenario, self._covariance = part, scenario, covariance
+        self._base = base
+        self._sought: dict[frozenset[tuple[str, Any]], Sequence[NoiseLevel]] = {}
+        self.levels: set[str] = set()                   # that any of those that are tried asks for
+        self.found: list[_Attempt] = []
+
+    def attempt(self, parts: tuple[Candidate, ...]) -> None:
+        """Try some extensions together; what was tried already is not tried again."""
+        name = ' and '.join(sorted(each.name for each in parts))
+        if name in {each.tried.name for each in self.found}:
+            return
+        values = {key: value for each in parts for key, value in each.values.items()
+                  if key != _ADAPT}
+        walks = [key for each in parts if not each.values for key in each.sought]
+        if walks:
+            search = Search(*self._part, self._scenario.replace(values), walks, self._covariance,
+                            brief=True)
+            values |= {key: _rounded(value) for key, value in search.values.items()}
+        noises = [key for each in parts if each.values.get(_ADAPT) for key in each.sought]
+        # What is sought is found already: the run itself has it as given.
+        run = _run(*self._part, self._scenario.replace(values), self._covariance, [
+            each for each in self._found_levels(values) if each.key in noises] if noises else ())
+        if noises:
+            values[_ADAPT] = (*self._scenario.estimator.adapt, *noises)
+        gain = float(run.consistency.likelihood.twice_log
+                     - self._base.consistency.likelihood.twice_log)
+        numbers = sum(each.numbers for each in parts)
+        score = gain - numbers * math.log(max(len(self._part[1]), 2))
+        self.found.append(_Attempt(parts, Tried(name, values, numbers, gain, score, False), run))
+        self.found.sort(key=lambda each: -each.tried.score)
+
+    def best(self) -> tuple[_Attempt, ...]:
+        """Return the best of those that explain the data and what can not be told from it."""
+        count = len(self.found)
+        self.found = [each._replace(tried=each.tried._replace(
+            beyond_chance=each.tried.gain > chi2_beyond(ALARM / count, each.tried.numbers)))
+            for each in self.found]
+        best = _best([each.tried for each in self.found], count)
+        return tuple(each for each in self.found if each.tried in best)
+
+    def _found_levels(self, values: Mapping[str, Any]) -> Sequence[NoiseLevel]:
+        """Return the noise levels, sought once for what else is tried."""
+        key = frozenset(values.items())
+        if key not in self._sought:
+            self._sought[key] = Search(*self._part, self._scenario.replace(values),
+                                       sorted(self.levels), self._covariance).found()
+        return self._sought[key]
 
 
 def frames_s(frames: Frames) -> float:
@@ -248,25 +319,8 @@ def _pointed(statistics: Sequence[Statistic], scenario: Scenario, tests: ModelTe
         ('other noise of centroids and gyros', of_stars and of_turns, (CENTROIDS, GYRO)))
     for name, pointed, keys in noises:
         if pointed and not set(keys) & set(scenario.estimator.adapt):
-            yield Candidate(name, {'estimator.adapt': (*scenario.estimator.adapt, *keys)},
+            yield Candidate(name, {_ADAPT: (*scenario.estimator.adapt, *keys)},
                             len(keys), keys)
-
-
-def _tried(candidate: Candidate, gyro: GyroSamples, frames: Frames, scenario: Scenario,
-           covariance: Array | None, noise: Callable[[], Sequence[NoiseLevel]]
-           ) -> tuple[Calibrator, Mapping[str, Any]]:
-    """Return a calibrator with an extension after some messages, and the extension's values."""
-    values = dict(candidate.values)
-    levels: Sequence[NoiseLevel] = ()
-    if candidate.sought:
-        if values:
-            levels = [each for each in noise() if each.key in candidate.sought]
-        else:
-            search = Search(gyro, frames, scenario, candidate.sought, covariance, brief=True)
-            values = {key: _rounded(value) for key, value in search.values.items()}
-    # What is sought is found already: the run itself has it as given.
-    given = {key: value for key, value in values.items() if key != 'estimator.adapt'}
-    return _run(gyro, frames, scenario.replace(given), covariance, levels), values
 
 
 def _run(gyro: GyroSamples, frames: Frames, scenario: Scenario, covariance: Array | None,
@@ -290,7 +344,7 @@ def _best(tried: Sequence[Tried], count: int) -> tuple[Tried, ...]:
 def _adds_to(one: Tried, other: Tried) -> bool:
     """Tell whether an extension has all that another has, and more."""
     def parts(each: Tried) -> set[str]:
-        return {*each.values.get('estimator.adapt', ()), *each.values} - {'estimator.adapt'}
+        return {*each.values.get(_ADAPT, ()), *each.values} - {_ADAPT}
     return parts(one) > parts(other)
 
 

@@ -47,6 +47,19 @@ def test_what_is_wrong_is_the_best_and_with_it_the_tests_pass(row, keys):
     assert failed(after) == set() and word(after) == 'not yet'
 
 
+def test_two_things_that_are_wrong_are_found_together():
+    row = wrong_models.WrongModel('both', {
+        'truth.star_tracker.time_offset_s': 0.005,
+        'truth.gyro.scale_factor_ppm': (500.0, 300.0, -400.0)})
+    given, _, found = explained(row)
+    best = found.to_adopt
+    assert set(best.values) == {'estimator.augment.time_offset_sigma_s',
+                                'estimator.augment.gyro_matrix_sigma_ppm'}
+    assert best.numbers == 10 and ' and ' in best.name
+    after, _ = calibrate(*given, RUN.replace(best.values))
+    assert failed(after) == set() and word(after) == 'not yet'
+
+
 def test_noise_that_is_not_as_stated_points_to_the_levels_and_not_to_those_that_are_adapted():
     wrong = RUN.replace({'truth.star_tracker.centroid_sigma_px': 0.15})
     tests = calibrated(RUN, wrong).consistency
