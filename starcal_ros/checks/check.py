@@ -22,6 +22,7 @@ from starcal_ros.checks.turns import LEAST, Gyro, Running, covered, of_stars
 from starcal_ros.config.models import mounting_matrix
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR, SQRT_HOUR
+from starcal_ros.measurements.intake import in_gyro_time
 from starcal_ros.measurements.samples import Frames, GyroSamples
 
 _SPOILT = ('all zero', 'frozen', 'saturated', 'repeated readings', 'quantisation', 'bursts',
@@ -70,6 +71,7 @@ def check(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         Called with the part done, 0 to 1.
     """
     say = on_progress or (lambda part: None)
+    frames = in_gyro_time(frames, scenario)
     found = [*stamps.of_stamps(gyro, frames, scenario, logged),
              *readings.of_readings(gyro, scenario), *from_sky.of_messages(frames, scenario)]
     say(0.1)

@@ -22,6 +22,7 @@ from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, SQRT
 _NOISE_OFF = 1.3            # times or parts of a stated noise that counts
 _NAMED = 0.03               # part of a named time offset by which it may be missed
 _LONGEST_S = 0.03           # time offset that the estimator can be asked to find
+_LARGEST_S = 10.0           # that may be stated
 
 
 def findings(outcome: TurnModel, scenario: Scenario, C_sg: Array, camera_sigma: Array,
@@ -123,9 +124,12 @@ def _offset_text(tau_s: float, sigma_s: float) -> str:
             + ('early' if tau_s > 0.0 else 'late'))
 
 
-def _augmented(tau_s: float, sigma_s: float) -> dict[str, object]:
+def _parameters(tau_s: float, sigma_s: float, scenario: Scenario) -> dict[str, object]:
+    late_s = scenario.star_tracker.time_offset_s - tau_s
     if abs(tau_s) > _LONGEST_S:
-        return {}
+        # More than the estimator can be asked to find: what is known goes beforehand.
+        return {} if abs(late_s) > _LARGEST_S else {
+            'star_tracker.time_offset_s': float(f'{late_s:.7g}')}
     return {'estimator.augment.time_offset_sigma_s': float(
         f'{max(2.0 * abs(tau_s), 10.0 * sigma_s):.1g}')}
 
@@ -138,7 +142,7 @@ def _time_offset(each: Explained, outcome: TurnModel, scenario: Scenario) -> Ite
     yield _made(each, TIME_OFFSET, f'frames are stamped {_offset_text(tau, sigma)} by the clock '
                 f'of the gyro{_named_offset(tau, sigma, scenario)}',
                 'driver of the star tracker or of the gyro', each.value * 1e3, each.sigma * 1e3,
-                'ms', _augmented(tau, sigma), {'frame_stamps_plus_s': tau})
+                'ms', _parameters(tau, sigma, scenario), {'frame_stamps_plus_s': tau})
 
 
 def _clock_drift(each: Explained, outcome: TurnModel, scenario: Scenario) -> Iterator[Finding]:

@@ -69,6 +69,10 @@ class StarTrackerConfig:
     least_sigma_px: Annotated[float, Spec(
         'Least standard deviation of a centroid that a recording is believed, where '
         'centroid_sigma_px is not less', 'px', 0.0, 100.0)] = 0.005
+    time_offset_s: Annotated[float, Spec(
+        "Stamp of a frame minus the middle of its exposure in the gyro's time, as far as it is "
+        'known: a positive stamp is late. Frames are taken at their stamp less this', 's',
+        -10.0, 10.0)] = 0.0
     limiting_magnitude: Annotated[float, Spec(
         'Faintest star that is measured, Hp', 'mag', -2.0, 14.0)] = 6.0
 

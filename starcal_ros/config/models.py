@@ -87,3 +87,9 @@ def of_calibrated(config: SigmaConfig | ProcessNoiseConfig) -> Array:
 def star_gate(estimator: EstimatorConfig) -> float:
     """Return the chi-square, two degrees of freedom, up to which a star passes the gate."""
     return float(chi2.ppf(estimator.gate_probability, 2))
+
+
+def true_time_offset_s(scenario: Scenario) -> float:
+    """Return by how much the simulators stamp frames late [s]."""
+    offset = scenario.truth.star_tracker.time_offset_s
+    return scenario.star_tracker.time_offset_s if offset is None else offset

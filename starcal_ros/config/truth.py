@@ -59,9 +59,9 @@ class TrueStarTrackerConfig:
     centroid_sigma_px: Annotated[float | None, Spec(
         'Standard deviation of a centroid, each axis; the messages state the nominal one',
         'px', 0.0, 100.0)] = None
-    time_offset_s: Annotated[float, Spec(
+    time_offset_s: Annotated[float | None, Spec(
         "Stamp of a frame minus the middle of its exposure in the gyro's time: a positive stamp "
-        'is late', 's', -10.0, 10.0)] = 0.0
+        'is late', 's', -10.0, 10.0)] = None
 
 
 @dataclass(frozen=True)

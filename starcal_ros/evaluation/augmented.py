@@ -94,8 +94,8 @@ def gain(truth: Truth) -> Array:
 EVALUATED = {
     'gyro_matrix_sigma_ppm': Evaluated(lambda truth: truth.gyro_matrix.ravel(),
                                        turning=_matrix_turning),
-    # A frame stamped t shows the sky of t + tau.
-    'time_offset_sigma_s': Evaluated(lambda truth: np.array([-truth.time_offset]),
+    # A frame taken at t shows the sky of t + tau.
+    'time_offset_sigma_s': Evaluated(lambda truth: np.array([-truth.unknown_offset]),
                                      imaged=_offset_imaged),
 }
 """By the `key` of the state."""

@@ -30,6 +30,7 @@ from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.states import CALIBRATED, N_STATES, PHI
 from starcal_ros.filter.verdict import word
+from starcal_ros.measurements.intake import in_gyro_time
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import SIGMA_PX
@@ -165,7 +166,7 @@ def follow(scenario: Scenario, seeds: Sequence[int],
     belief: Belief | None = None
     cut_ns: list[int] = []
     for done in range(0, trackers[0].count, _CHUNK):
-        frames = [tracker.next(_CHUNK) for tracker in trackers]
+        frames = [in_gyro_time(tracker.next(_CHUNK), scenario) for tracker in trackers]
         stamps = frames[0].stamp_ns
         stars, numbers, magnitudes, counts = _padded(frames, scenario, filter_)
         cuts = np.concatenate((cut_ns or stamps[:1], stamps))

@@ -21,6 +21,7 @@ from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.noise import Noise
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.filter.verdict import equivalent_sigma
+from starcal_ros.measurements.intake import in_gyro_time
 from starcal_ros.measurements.samples import Frames, GyroSamples
 
 _SOUGHT = 0.8           # part of the time in which noise levels are sought
@@ -142,7 +143,8 @@ def calibrate(gyro: GyroSamples, frames: Frames, scenario: Scenario,
         equivalent_sigma(root[done], intrinsics[done], calibrator.filter.detector.pitch_mm),
         nis[done], used[done],
         Residuals(np.concatenate(uv_raster), np.concatenate(residual), np.concatenate(accepted),
-                  _sigma(frames, stamp_ns[done], scenario) * calibrator.noise.factor))
+                  _sigma(in_gyro_time(frames, scenario), stamp_ns[done], scenario)
+                  * calibrator.noise.factor))
 
 
 def _sigma(frames: Frames, stamp_ns: Ints, scenario: Scenario) -> Array:

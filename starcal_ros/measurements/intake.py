@@ -34,6 +34,12 @@ _FAINTEST = 40.0            # magnitude of a star that nobody has seen yet
 _ONE_SIDED_NS = 5 * 10**9   # time that one topic goes on without the other's jump
 
 
+def in_gyro_time(frames: Frames, scenario: Scenario) -> Frames:
+    """Return frames at the time that their stamps mean, as far as the scenario knows."""
+    late_ns = round(scenario.star_tracker.time_offset_s * 1e9)
+    return replace(frames, stamp_ns=frames.stamp_ns - late_ns) if late_ns else frames
+
+
 class Change(Enum):
     """What became of a clock that was set back."""
 
@@ -57,6 +63,7 @@ class Intake:
         self._gyro_time = Timeline[GyroSamples](
             period_ns, kept=round(GYRO_KEPT_NS / period_ns))
         self._frame_time = Timeline[Frames](1e9 / scenario.star_tracker.rate_hz, kept=FRAMES_KEPT)
+        self._scenario = scenario
         self._largest_rate = scenario.gyro.largest_rate_deg_s * DEG
         self._notices = notices
         self._gyro: list[GyroSamples] = []
@@ -81,6 +88,7 @@ class Intake:
         known = np.abs(frames.magnitude) <= _FAINTEST
         if not known.all():
             frames = replace(frames, magnitude=np.where(known, frames.magnitude, np.nan))
+        frames = in_gyro_time(frames, self._scenario)
         self._frames += self._frame_time.add(frames)
         self._account('frame', self._frame_time.take_dropped())
 

@@ -64,12 +64,13 @@ def _camchain(camera: conventions.PlumbBob, result: dict[str, Any], scenario: Sc
     T_og[:3, :3] = conventions.optical_in_gyro(rotation.to_matrix(q)).T
     fx, _, cx, _, fy, cy = camera.K[:6]
     augmented = result.get('augmented', {'names': [], 'estimates': []})
-    offset = dict(zip(augmented['names'], augmented['estimates'])).get('tau_s', 0.0)
+    offset = dict(zip(augmented['names'], augmented['estimates'])).get('tau_s', 0.0) - (
+        scenario.star_tracker.time_offset_s)
     return {'T_cam_imu': T_og.tolist(), 'camera_model': 'pinhole', 'distortion_model': 'radtan',
             'distortion_coeffs': camera.D[:4], 'intrinsics': [fx, fy, cx, cy],
             'resolution': [scenario.camera.width, scenario.camera.height],
             'rostopic': topics.IMAGES.recorded,
-            # Kalibr's t_imu = t_cam + timeshift: a frame stamped t shows the sky of t + tau
+            # Kalibr's t_imu = t_cam + timeshift: a frame taken at t shows the sky of t + tau
             'timeshift_cam_imu': offset}
 
 

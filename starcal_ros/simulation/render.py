@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.config.image import ImageConfig
+from starcal_ros.config.models import true_time_offset_s
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import psf
 from starcal_ros.core.arrays import Array
@@ -139,7 +140,7 @@ class ImageSimulator:
         self._stars = stars.brighter_than(config.limiting_magnitude)
         self._view = StarView(scenario, truth, self._stars)
         self._exposure_s = scenario.star_tracker.exposure_s
-        self._late_ns = round(scenario.truth.star_tracker.time_offset_s * 1e9)
+        self._late_ns = round(true_time_offset_s(scenario) * 1e9)
         self._renderer = Renderer(config, truth.detector, self._exposure_s, rng)
 
     def image(self, stamp_ns: int) -> Image:

@@ -19,6 +19,7 @@ from functools import partial
 
 import numpy as np
 
+from starcal_ros.config.models import true_time_offset_s
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames
@@ -55,7 +56,7 @@ class StarTrackerSimulator:
         self._stated_sigma = self._sigma = tracker.centroid_sigma_px
         if errors.centroid_sigma_px is not None:
             self._sigma = errors.centroid_sigma_px
-        self._late_ns = round(errors.time_offset_s * 1e9)
+        self._late_ns = round(true_time_offset_s(scenario) * 1e9)
         self._stars = stars.brighter_than(tracker.limiting_magnitude)
         self._view = StarView(scenario, truth, self._stars)
         self._on_images = switched_on('images', scenario)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from starcal_ros.config.models import detector, intrinsics, mounting_matrix
+from starcal_ros.config.models import detector, intrinsics, mounting_matrix, true_time_offset_s
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
@@ -55,6 +55,8 @@ class Truth:
         M of `gyro_scale`.
     time_offset : float
         Stamp of a frame minus the middle of its exposure [s].
+    unknown_offset : float
+        The part of it that the nominal time offset leaves [s].
     """
 
     motion: Motion
@@ -66,6 +68,7 @@ class Truth:
     walks: Sequence[OverTime] = ()
     gyro_matrix: Array = field(default_factory=lambda: np.zeros((3, 3)))
     time_offset: float = 0.0
+    unknown_offset: float = 0.0
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Truth:
@@ -78,7 +81,8 @@ class Truth:
                    mounting_matrix(truth.mounting if given else scenario.mounting),
                    np.array(bias) * DEG_PER_HOUR, switched_on('mounting', scenario),
                    switched_on('bias', scenario), gyro_scale.matrix(scenario),
-                   truth.star_tracker.time_offset_s)
+                   true_time_offset_s(scenario),
+                   true_time_offset_s(scenario) - scenario.star_tracker.time_offset_s)
 
     @property
     def moves(self) -> bool:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+import yaml
 
 from instruments import INTRINSICS, TAN2018
 from starcal_ros.core import kalman, rotation
@@ -24,8 +25,10 @@ from starcal_ros.filter.verdict import judge
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import GyroSamples, Stars
 from starcal_ros.messages import conventions
+from starcal_ros.results import export
 from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
+from starcal_ros.simulation.truth import Truth
 
 MATRIX_ON = {'estimator.augment.gyro_matrix_sigma_ppm': 1000.0}
 OFFSET_ON = {'estimator.augment.time_offset_sigma_s': 0.02}
@@ -570,3 +573,26 @@ def test_verdict_judges_the_16_states_of_an_augmented_filter():
     for _ in calibrator.process():
         pass
     assert len(judge(calibrator.filter, calibrator.belief).states) == 13
+
+
+def test_a_stated_offset_is_taken_off_the_stamps():
+    """Frames 250 ms late, of which it is known: bit for bit as frames without an offset."""
+    late = TAN2018.replace({'simulation.duration_s': 20.0, 'star_tracker.time_offset_s': 0.25})
+    gyro, tracker = sensors.gyro(late), sensors.star_tracker(late)      # these have it, too
+    samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
+    early = replace(frames, stamp_ns=frames.stamp_ns - 250_000_000)
+    known, unknown = (Calibrator(late), Calibrator(late.replace(
+        {'star_tracker.time_offset_s': 0.0})))
+    stamps = []
+    for calibrator, given in ((known, frames), (unknown, early)):
+        calibrator.add_gyro(samples)
+        calibrator.add_frames(given)
+        stamps.append([frame.stamp_ns for frame in calibrator.process()])
+    assert stamps[0] == stamps[1] and len(stamps[0]) > 30
+    np.testing.assert_array_equal(known.belief.root, unknown.belief.root)
+    assert known.counts.rejected_stars == 0
+    exported = export.files(result(known, {}), late)
+    assert yaml.safe_load(exported['camchain.yaml'])['cam0']['timeshift_cam_imu'] == -0.25
+    # What is not known of it is left to the state.
+    truth = Truth.from_scenario(late.replace({'truth.star_tracker.time_offset_s': 0.26}))
+    assert truth.time_offset == 0.26 and truth.unknown_offset == pytest.approx(0.01)

@@ -4,9 +4,11 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from instruments import EXTERNAL, TAN2018
+from starcal_ros.checks.check import check
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.reproduction import user_mistakes
 from starcal_ros.reproduction.published import user_mistakes as study
@@ -28,6 +30,16 @@ def test_what_a_driver_must_do_mends_the_calibration(name):
     assert judged.right and not judged.wrong
     assert judged.words[0] not in ('converged', 'not yet') and judged.words[1] == 'not yet'
     assert judged.after < 4.5
+
+
+def test_a_large_time_offset_is_stated_and_with_it_nothing_is_found():
+    source = study.simulated(SCENARIO, 1)
+    gyro, frames = BY_NAME['frames 400 ms late'].spoil(
+        source.gyro, source.frames, np.random.default_rng(1))
+    found = check(gyro, frames, source.scenario).findings
+    offset, = (each.parameters['star_tracker.time_offset_s'] for each in found)
+    assert offset == pytest.approx(0.4, abs=2e-4)
+    assert not check(gyro, frames, user_mistakes.proposed(source.scenario, found)).findings
 
 
 def test_the_study_tabulates_mistakes_and_counts_false_alarms(tmp_path, monkeypatch):
