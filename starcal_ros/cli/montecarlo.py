@@ -5,14 +5,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 import dataclasses
 from pathlib import Path
 
-from starcal_ros.cli import arguments, outputs
+from starcal_ros.cli import arguments, cluster, outputs
 from starcal_ros.cli.terminal import progress, show
-from starcal_ros.config.parameter import ConfigError
 
 SUMMARY = 'run a scenario many times'
 DESCRIPTION = ('Simulate and estimate a scenario with many seeds and compare the errors with the '
@@ -34,8 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='summary to write; all runs go into an .npz file beside it '
                         '(default: %(default)s)')
     outputs.add_overwrite(parser)
-    parser.add_argument('--dask', metavar='ADDRESS',
-                        help='scheduler of a Dask cluster to run on (needs the extra dask)')
+    cluster.add_dask(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,29 +43,11 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     parts = out.with_name(out.name + '.parts')
     outputs.claim([out, out.with_suffix('.npz')], [options.config], options.overwrite, parts)
-    with _cluster(options.dask) as backend, progress('running') as on_progress:
-        results = montecarlo.run(study, parts, backend=backend, on_progress=on_progress)
+    with cluster.spread(options.dask), progress('running') as on_progress:
+        results = montecarlo.run(study, parts, on_progress=on_progress)
     summary = montecarlo.finish(study, results, out, parts)
     from starcal_ros import report
     for point in summary.get('points', [summary]):
         title = f'{study.key} = {point[study.key]}' if study.key else str(options.config or '')
         show(report.study(point, title))
     return 0
-
-
-@contextmanager
-def _cluster(address: str | None) -> Iterator[str]:
-    """Connect to a Dask cluster where one is named; yield joblib's backend."""
-    if address is None:
-        yield 'loky'
-        return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ConfigError("--dask: needs pip install 'starcal_ros[dask]'") from None
-    try:
-        client = Client(address, timeout=10)        # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        raise ConfigError(f'--dask: no scheduler answers at {address}: {error}') from None
-    with client:
-        yield 'dask'

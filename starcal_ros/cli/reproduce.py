@@ -10,7 +10,7 @@ from pathlib import Path
 import shutil
 
 from starcal_ros import __version__
-from starcal_ros.cli import arguments, outputs
+from starcal_ros.cli import arguments, cluster, outputs
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='the same numbers as JSON; figures are drawn beside it, as NAME.png '
                         '(default: %(default)s)')
     outputs.add_overwrite(parser)
+    cluster.add_dask(parser)
 
 
 def _provenance(name: str, options: argparse.Namespace, scenario: Scenario) -> dict[str, str]:
@@ -60,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     for name in names:
         study = published.load(name)
         try:
-            with progress(name) as on_progress:
+            with cluster.spread(options.dask), progress(name) as on_progress:
                 outcomes[name] = study.reproduce(
                     scenario, options.runs or study.RUNS, parts, on_progress)
         except ConfigError as error:        # data that are no part of this package are not there

@@ -3,21 +3,21 @@
 """Monte Carlo: many runs of one scenario, or of several that differ in one parameter.
 
 Batches of runs share a process (the filter's leading axis) and are spread over cores, or over a
-Dask cluster, by joblib. Each finished batch is kept in a folder beside the result until all are
-there, so that a killed study goes on where it was.
+Dask cluster (`tasks`), in sizes by which all workers end at about the same time; the bound is one
+of their tasks. Each finished batch is kept in a folder beside the result until all are there, so
+that a killed study goes on where it was, with any number of workers.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 import json
 from pathlib import Path
 import shutil
 from typing import Any
 
-import joblib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,15 +25,18 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, parameters
 from starcal_ros.core.arrays import Array
-from starcal_ros.evaluation import bounds, consistency
+from starcal_ros.evaluation import bounds, consistency, tasks
 from starcal_ros.evaluation.batch import Runs, nominal, run_batch, state_error
-from starcal_ros.files.output import whole, write_text
+from starcal_ros.files.output import write_text
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.simulation.truth import Truth
 
-BATCH = 25              # runs in a batch: enough to share the work of a frame, and to keep often
+BATCH = 25
+"""Runs in a batch, at most: enough to share the work of a frame, and to keep often."""
+
+_JUDGED = '_judged'
 _PROBABILITY = 0.95
 
 
@@ -94,16 +97,16 @@ class MonteCarlo:
         """Return the scenario at one value."""
         return self.scenario.replace({self.key: value}) if self.key else self.scenario
 
-    def seeds(self) -> list[list[int]]:
-        """Return the seeds of each batch: those from the scenario's own on."""
+    @property
+    def seeds(self) -> range:
+        """Seeds of the runs at one value: those from the scenario's own on."""
         first = self.scenario.simulation.seed
-        seeds = list(range(first, first + self.runs))
-        return [seeds[low:low + BATCH] for low in range(0, self.runs, BATCH)]
+        return range(first, first + self.runs)
 
 
-def run(study: MonteCarlo, parts: Path, jobs: int = -1, backend: str = 'loky',
+def run(study: MonteCarlo, parts: Path,
         on_progress: Callable[[float], None] = lambda part: None) -> list[Runs]:
-    """Run a study, or what is missing of it.
+    """Run a study, or what is missing of it, and the bound at each value (`bound_at`).
 
     Parameters
     ----------
@@ -111,10 +114,6 @@ def run(study: MonteCarlo, parts: Path, jobs: int = -1, backend: str = 'loky',
         What to run.
     parts : Path
         Folder of the finished batches.
-    jobs : int
-        Processes, -1 for one a core.
-    backend : str
-        joblib's: ``loky``, or ``dask`` where a ``distributed.Client`` is open.
     on_progress : callable
         Called with the part done, 0 to 1.
 
@@ -124,57 +123,74 @@ def run(study: MonteCarlo, parts: Path, jobs: int = -1, backend: str = 'loky',
         One for each value.
     """
     parts.mkdir(parents=True, exist_ok=True)
-    tasks = [(study.at(value), seeds, study.judged)
-             for value in study.values for seeds in study.seeds()]
-    names = [parts / f'{scenario.replace({"simulation.seed": 0}).sha256[:16]}'
-             f'_{seeds[0]}_{len(seeds)}{"_judged" if study.judged else ""}.npz'
-             for scenario, seeds, _ in tasks]
-    complete(names, _task, tasks, jobs, backend, on_progress)
-    batches = [_load(name) for name in names]
-    each = len(study.seeds())
-    return [Runs.concatenate(batches[low:low + each]) for low in range(0, len(batches), each)]
+    scenarios = [study.at(value) for value in study.values]
+    missing = [(scenario, seed) for scenario in scenarios for seed in study.seeds
+               if seed not in _seeds_done(scenario, study.judged, parts)]
+    size = batch_size(len(missing), tasks.workers())
+    done = 1.0 - len(missing) / (len(scenarios) * study.runs)
+    new = [scenario for scenario in scenarios if not _bound_name(scenario, parts).exists()]
+    names = [_bound_name(scenario, parts) for scenario in new]
+    todo: list[tuple[Any, ...]] = [(_bound_task, scenario) for scenario in new]
+    for scenario in scenarios:
+        seeds = [seed for of, seed in missing if of is scenario]
+        for group in _together(seeds, size):
+            names.append(parts / (f'{_key(scenario)}_{group[0]}_{group[-1]}'
+                                  f'{_JUDGED if study.judged else ""}.npz'))
+            todo.append((_task, scenario, group, study.judged))
+    tasks.complete(names, _called, todo, lambda part: on_progress(done + (1.0 - done) * part))
+    return [_loaded(scenario, study, parts) for scenario in scenarios]
 
 
-def complete(names: Sequence[Path], task: Callable[..., dict[str, NDArray[Any]]],
-             arguments: Sequence[tuple[Any, ...]], jobs: int = -1, backend: str = 'loky',
-             on_progress: Callable[[float], None] = lambda part: None) -> None:
-    """Run the tasks whose file is not there yet; keep what each returns as soon as it is done.
-
-    Parameters
-    ----------
-    names : sequence of Path
-        An NPZ file for each task, in a folder that exists.
-    task : callable
-        Returns the arrays of one file.
-    arguments : sequence of tuple
-        Of each task.
-    jobs, backend, on_progress
-        As for `run`.
-    """
-    missing = [k for k, name in enumerate(names) if not name.exists()]
-    on_progress(1.0 - len(missing) / len(names))
-    with joblib.parallel_config(backend=backend, n_jobs=jobs):
-        results = joblib.Parallel(return_as='generator_unordered')(
-            joblib.delayed(_numbered)(k, task, arguments[k]) for k in missing)
-        for done, (k, arrays) in enumerate(results, start=1):
-            save(names[k], arrays)
-            on_progress(1.0 - (len(missing) - done) / len(names))
+def batch_size(runs: int, workers: int) -> int:
+    """Return how many runs share a process, so that all workers end at about the same time."""
+    rounds = max(1, -(-runs // (BATCH * workers)))
+    return max(1, -(-runs // (rounds * workers)))
 
 
-def _numbered(index: int, task: Callable[..., dict[str, NDArray[Any]]],
-              arguments: tuple[Any, ...]) -> tuple[int, dict[str, NDArray[Any]]]:
-    return index, task(*arguments)
+def _together(seeds: Sequence[int], size: int) -> Iterator[list[int]]:
+    """Yield seeds that follow each other, as many as `size` at once."""
+    group: list[int] = []
+    for seed in seeds:
+        if group and (len(group) == size or seed != group[-1] + 1):
+            yield group
+            group = []
+        group.append(seed)
+    if group:
+        yield group
+
+
+def _key(scenario: Scenario) -> str:
+    return scenario.replace({'simulation.seed': 0}).sha256[:16]
+
+
+def _files(scenario: Scenario, judged: bool, parts: Path) -> Iterator[tuple[Path, range]]:
+    """Yield the batches of a scenario that are done, of any size, and their seeds."""
+    for path in sorted(parts.glob(f'{_key(scenario)}_*.npz')):
+        first, last, *rest = path.stem.split('_')[1:] + ['']
+        if last and (path.stem.endswith(_JUDGED)) == judged:
+            yield path, range(int(first), int(last) + 1)
+
+
+def _seeds_done(scenario: Scenario, judged: bool, parts: Path) -> set[int]:
+    return {seed for _, seeds in _files(scenario, judged, parts) for seed in seeds}
+
+
+def _loaded(scenario: Scenario, study: MonteCarlo, parts: Path) -> Runs:
+    whole = Runs.concatenate([_load(path) for path, _ in _files(scenario, study.judged, parts)])
+    # In the order of the seeds, each once.
+    seeds, rows = np.unique(whole.seed, return_index=True)
+    rows = rows[np.isin(seeds, study.seeds)]
+    return Runs(*(getattr(whole, field.name)[rows] for field in fields(Runs)))
+
+
+def _called(function: Callable[..., dict[str, NDArray[Any]]], *given: Any
+            ) -> dict[str, NDArray[Any]]:
+    return function(*given)
 
 
 def _task(scenario: Scenario, seeds: Sequence[int], judged: bool) -> dict[str, NDArray[Any]]:
     batch = run_batch(scenario, seeds, judged=judged)
     return {field.name: getattr(batch, field.name) for field in fields(Runs)}
-
-
-def save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Write an NPZ file so that it is there whole or not at all."""
-    with whole(path) as draft, draft.open('wb') as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
 def _load(path: Path) -> Runs:
@@ -185,6 +201,20 @@ def _load(path: Path) -> Runs:
 def bound(scenario: Scenario) -> Array:
     """Return the Cramér–Rao bound on the 16 + m states after the last frame, (16 + m,) sigmas."""
     return _bound(scenario).sigma
+
+
+def bound_at(scenario: Scenario, parts: Path) -> bounds.Bound:
+    """Return the bound that `run` has left in its folder."""
+    with np.load(_bound_name(scenario, parts)) as arrays:
+        return bounds.Bound(arrays['root'], arrays['prior'])
+
+
+def _bound_name(scenario: Scenario, parts: Path) -> Path:
+    return parts / f'{_key(scenario)}_bound.npz'
+
+
+def _bound_task(scenario: Scenario) -> dict[str, NDArray[Any]]:
+    return asdict(_bound(scenario))
 
 
 def _bound(scenario: Scenario) -> bounds.Bound:
@@ -203,19 +233,21 @@ def nees_interval(scenario: Scenario, limit: bounds.Bound, runs: int) -> consist
     return consistency.matched_interval(*limit.nees_moments(first), runs, _PROBABILITY)
 
 
-def summarize(scenario: Scenario, runs: Runs) -> dict[str, Any]:
+def summarize(scenario: Scenario, runs: Runs, best: bounds.Bound | None = None
+              ) -> dict[str, Any]:
     """Return what the runs of one scenario say, with the 95 % intervals of a true filter.
 
     RMS, bound and sigma are in the units of STATE_UNITS; values of optional states have theirs at
     the end of their name. Where `prior` is near 1 the data shows nothing of a state: sigma and
-    bound are then the initial sigma, and the RMS what the nominal value is off by.
+    bound are then the initial sigma, and the RMS what the nominal value is off by. The bound is
+    made where it is not given.
     """
+    best = best or _bound(scenario)
     n = len(runs.seed)
     augmentation = Augmentation.of(scenario.estimator.augment)
     names = (*STATE_NAMES, *augmentation.names)
     units = (*STATE_UNITS, *(name.rpartition('_')[2] for name in augmentation.names))
     unit = np.append(UNIT, augmentation.units)
-    best = _bound(scenario)
     limit, prior = best.sigma, best.prior_part
     rms = np.sqrt(np.mean(runs.error[:, -1]**2, axis=0))
     nees = nees_interval(scenario, best, n)
@@ -249,14 +281,15 @@ def finish(study: MonteCarlo, results: Sequence[Runs], out: Path, parts: Path) -
 
     With a sweep the summary has one entry a value under ``points``.
     """
-    points = [{**({study.key: value} if study.key else {}), **summarize(study.at(value), runs)}
+    points = [{**({study.key: value} if study.key else {}),
+               **summarize(study.at(value), runs, bound_at(study.at(value), parts))}
               for value, runs in zip(study.values, results)]
     summary = {'sweep': study.key, 'points': points} if study.key else points[0]
     text = parameter_file.dump(study.scenario)
     merged = asdict(Runs.concatenate(results))
     merged['value'] = np.repeat([str(value) for value in study.values], study.runs)
-    save(out.with_suffix('.npz'), {**merged, 'config': np.array(text),
-                                   'sweep': np.array(study.key)})
+    tasks.save(out.with_suffix('.npz'), {
+        **merged, 'config': np.array(text), 'sweep': np.array(study.key)})
     write_text(out, json.dumps(summary, indent=1, allow_nan=False) + '\n')
     shutil.rmtree(parts)
     return summary

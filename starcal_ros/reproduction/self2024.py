@@ -33,7 +33,7 @@ from starcal_ros.calibration import interstar_equations as interstar
 from starcal_ros.calibration.interstar_complete import normal_equations
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.arrays import Array
-from starcal_ros.evaluation.montecarlo import complete
+from starcal_ros.evaluation.tasks import complete
 
 METHODS = ('TCOC', 'TCWC', 'SCOC', 'SCWC')
 """Traditional or self-calibration, without or with the constraint of the optical path."""

@@ -20,7 +20,7 @@ from starcal_ros.calibration import interstar_equations as interstar
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import ARCSEC
-from starcal_ros.evaluation.montecarlo import complete
+from starcal_ros.evaluation.tasks import complete
 from starcal_ros.reproduction.self2024 import (LARGEST, PINHOLE, PITCH_MM, START, STEPS, Point,
                                                scenes)
 

@@ -33,7 +33,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
-from starcal_ros.evaluation import batch, bounds, montecarlo
+from starcal_ros.evaluation import batch, bounds, tasks
 from starcal_ros.evaluation.batch import BatchFrame
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import REPROJECTION_S
@@ -107,7 +107,7 @@ def of(scenario: Scenario, runs: int, work: Path,
     kept = work / f'traces_{scenario.sha256[:16]}_{runs}.npz'
     if not kept.exists():
         work.mkdir(parents=True, exist_ok=True)
-        montecarlo.save(kept, asdict(_traced(scenario, runs, on_progress)))
+        tasks.save(kept, asdict(_traced(scenario, runs, on_progress)))
     on_progress(1.0)
     with np.load(kept) as arrays:
         return Traces(**arrays)

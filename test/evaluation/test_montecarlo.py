@@ -4,7 +4,11 @@
 
 from dataclasses import fields
 import json
+import os
+import shutil
+import signal
 
+import joblib
 import numpy as np
 import pytest
 
@@ -12,7 +16,7 @@ from instruments import CONFIG, TAN2018
 from starcal_ros import cli
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.evaluation import montecarlo
+from starcal_ros.evaluation import montecarlo, tasks
 from starcal_ros.evaluation.batch import Runs, run_batch
 from starcal_ros.evaluation.montecarlo import BATCH, MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
@@ -32,8 +36,14 @@ def assert_same(runs, expected):
 
 
 @pytest.fixture(scope='module')
-def results(tmp_path_factory):
-    return montecarlo.run(STUDY, tmp_path_factory.mktemp('study') / 'parts')
+def finished(tmp_path_factory):
+    """Return the folder of a study that is done."""
+    return tmp_path_factory.mktemp('study') / 'parts'
+
+
+@pytest.fixture(scope='module')
+def results(finished):
+    return montecarlo.run(STUDY, finished)
 
 
 def test_each_value_has_all_its_runs_in_order(results):
@@ -70,25 +80,28 @@ def test_runs_are_judged_as_a_calibrator_judges_each():
     assert plain.verdict.tolist() == [''] * 3
 
 
-def test_interrupted_study_goes_on_where_it_was(results, tmp_path):
+def test_interrupted_study_goes_on_where_it_was(results, finished, tmp_path, monkeypatch):
     parts = tmp_path / 'parts'
-    montecarlo.run(STUDY, parts)
+    shutil.copytree(finished, parts)
     names = sorted(parts.iterdir())
-    assert len(names) == 4
-    names[1].unlink()
+    batches = [name for name in names if not name.stem.endswith('bound')]
+    assert len(names) == len(batches) + 2
+    left_out = int(batches[0].stem.split('_')[2]) - int(batches[0].stem.split('_')[1]) + 1
+    batches[0].unlink()
+    monkeypatch.setattr(tasks, 'workers', lambda: 1)
     (parts / 'cut_off.npz.part').write_bytes(b'half a file')
     before = {name: name.stat().st_mtime_ns for name in names if name.exists()}
     progress = []
     again = montecarlo.run(STUDY, parts, on_progress=progress.append)
-    assert progress == [0.75, 1.0]
+    assert progress == pytest.approx([1.0 - left_out / (2 * STUDY.runs), 1.0])
     assert all(name.stat().st_mtime_ns == when for name, when in before.items())
     for runs, expected in zip(again, results):
         assert_same(runs, expected)
 
 
-def test_summary_and_file_hold_what_others_need(results, tmp_path):
+def test_summary_and_file_hold_what_others_need(results, finished, tmp_path):
     out, parts = tmp_path / 'study.json', tmp_path / 'parts'
-    parts.mkdir()
+    shutil.copytree(finished, parts)
     montecarlo.finish(STUDY, results, out, parts)
     summary = json.loads(out.read_text())
     assert summary['sweep'] == 'star_tracker.centroid_sigma_px'
@@ -148,7 +161,8 @@ def test_same_study_on_a_dask_cluster_gives_the_same_numbers(results, tmp_path):
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
                                   host='127.0.0.1') as cluster:
         with distributed.Client(cluster):
-            spread = montecarlo.run(STUDY, tmp_path / 'parts', backend='dask')
+            with joblib.parallel_config(backend='dask'):
+                spread = montecarlo.run(STUDY, tmp_path / 'parts')
     for runs, expected in zip(spread, results):
         assert_same(runs, expected)
 
@@ -157,3 +171,50 @@ def test_absent_cluster_is_named(capsys):
     pytest.importorskip('distributed')
     assert cli.main(['montecarlo', '--runs', '1', '--dask', 'nonsense://x']) == 2
     assert 'nonsense' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('runs, workers, size', [
+    (64, 1, 22), (64, 2, 16), (64, 4, 16), (64, 8, 8), (64, 16, 4), (100, 16, 7), (3, 16, 1),
+    (10_000, 16, 25), (1, 1, 1)])
+def test_batches_follow_from_runs_and_workers(runs, workers, size):
+    assert montecarlo.batch_size(runs, workers) == size <= BATCH
+    rounds = -(-(-(-runs // size)) // workers)
+    assert rounds * size * workers < runs + workers * rounds      # none waits for more than a run
+
+
+def test_a_study_goes_on_with_batches_of_another_size(results, tmp_path, monkeypatch):
+    parts = tmp_path / 'parts'
+    monkeypatch.setattr(tasks, 'workers', lambda: 5)
+    whole = montecarlo.run(STUDY, parts)
+    batches = sorted(parts.glob('*_[0-9]*_[0-9]*.npz'))
+    assert len(batches) > 5
+    batches[1].unlink()
+    monkeypatch.setattr(tasks, 'workers', lambda: 1)
+    for runs, again, expected in zip(whole, montecarlo.run(STUDY, parts), results):
+        assert_same(runs, expected)
+        assert_same(again, expected)
+
+
+def test_the_loss_of_a_worker_is_said_and_its_work_done_again(tmp_path, capsys):
+    parts, once = tmp_path / 'parts', tmp_path / 'killed'
+    parts.mkdir()
+    names = [parts / f'{k}.npz' for k in range(4)]
+    tasks.complete(names, kills_itself, [(k, once) for k in range(4)])
+    assert once.exists() and 'a worker was lost' in capsys.readouterr().err
+    for k, name in enumerate(names):
+        with np.load(name) as arrays:
+            assert arrays['value'] == k
+
+
+def test_workers_that_are_always_lost_end_the_study(tmp_path):
+    with pytest.raises(ConfigError, match='3 times before a task was done'):
+        tasks.complete([tmp_path / 'a.npz'], kills_itself, [(1, None)])
+
+
+def kills_itself(value, once):
+    """Return a value; before that, once or always, end the process that was to do so."""
+    if value == 1 and not (once and once.exists()):
+        if once:
+            once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {'value': np.array(value)}

@@ -25,7 +25,8 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
     """Run the scenario many times and hold the errors to the bound and to the covariance."""
     study = MonteCarlo(scenario, runs)
     results, = montecarlo.run(study, work, on_progress=on_progress)
-    summary = montecarlo.summarize(scenario, results)
+    summary = montecarlo.summarize(
+        scenario, results, montecarlo.bound_at(scenario, work))
     rows = tuple((name, state['unit'], state['rms'], state['bound'], state['ratio'],
                   state['sigma']) for name, state in summary['states'].items())
     said = tuple(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.evaluation.montecarlo import complete
+from starcal_ros.evaluation.tasks import complete
 from starcal_ros.filter.states import CALIBRATED, PHI
 from starcal_ros.filter.verdict import CONVERGED, INCONSISTENT, LOST
 from starcal_ros.reproduction import wrong_models
