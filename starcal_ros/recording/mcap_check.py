@@ -72,7 +72,7 @@ class _Check:
         self._chunks: dict[int, tuple[int, Chunk]] = {}         # by offset: length of its record
         self._indices: dict[int, Index] = {}                    # as the file has them
         self._latest = 0
-        self._in_summary = False
+        self._summary: int | None = None        # where it begins
 
     def run(self) -> Findings:
         """Return what is found."""
@@ -101,10 +101,13 @@ class _Check:
     def _take(self, opcode: int, position: int, content: memoryview) -> None:
         if opcode == Opcode.DATA_END:
             self._compare('the data section', struct.unpack('<I', content)[0], 0, position)
-            self._in_summary, self._summary = True, position + RECORD.size + len(content)
+            self._summary = position + RECORD.size + len(content)
             self._has = Counter(opcode for opcode, _ in self._declared)
         elif opcode == Opcode.FOOTER:
             start, _, crc = _FOOTER.unpack(content)
+            if self._summary is None:
+                self._fault('the data section has no end')
+                return
             if start not in (0, self._summary):
                 self._fault(f'its end names a summary at byte {start}; it is at {self._summary}')
             self._compare('the summary', crc, self._summary,
@@ -174,7 +177,7 @@ class _Check:
         record.write(builder)
         data: bytes = builder.end()     # type: ignore[no-untyped-call]
         known = self._declared.get((opcode, record.id))
-        if known is None and self._in_summary and self._has:
+        if known is None and self._summary is not None and self._has:
             self._fault(f'the summary declares {_name(record)}, which the data do not have')
         if known not in (None, data):
             self._fault(f'{_name(record)} is declared in two ways')

@@ -4,6 +4,7 @@
 
 import struct
 
+from mcap.opcode import Opcode
 import mcap.writer
 import numpy as np
 import pytest
@@ -114,3 +115,12 @@ def test_a_file_without_its_end_is_said_to_have_none(tmp_path):
     footer = path.read_bytes().rindex(struct.pack('<BQ', 2, 20))
     path.write_bytes(path.read_bytes()[:footer])
     assert any('breaks off' in text for text in check_file(path).faults)
+
+
+def test_a_file_whose_data_do_not_end_is_said_so(tmp_path):
+    """The opcode of the record that ends them is another's: found by `bench/fuzz.py`."""
+    path = write(tmp_path / 'run.mcap')
+    content = path.read_bytes()
+    at = content.rindex(bytes([Opcode.DATA_END]) + struct.pack('<Q', 4))
+    path.write_bytes(content[:at] + b'\x7f' + content[at + 1:])
+    assert 'the data section has no end' in check_file(path).faults
