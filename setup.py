@@ -115,6 +115,7 @@ setup(
             'hypothesis',
             'mypy',
             'numba>=0.56',
+            'psutil',
             'pydocstyle',
             'pytest',
             'pytest-xdist',

@@ -117,7 +117,7 @@ def part_over(newest_ns: int, scenario: Scenario) -> float:
 def isolated() -> dict[str, str]:
     """Return environment variables with which nodes meet only each other, and quickly."""
     return {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),   # above 101: Linux's ephemeral ports
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **middleware.profile()}
+            **middleware.loopback()}
 
 
 def _until_simulated(nodes: Mapping[str, subprocess.Popen[bytes]], recording: McapTail

@@ -43,20 +43,57 @@ def test_settings_of_the_user_stay(tmp_path, monkeypatch, variable):
     assert middleware.profile() == {}
 
 
-def test_both_versions_are_set_alike():
+@pytest.mark.parametrize('package, variable, name', [
+    ('fastdds', VARIABLES[0], 'fastdds_loopback.xml'),
+    ('fastrtps', VARIABLES[1], 'fastdds_loopback_2.xml')])
+def test_nodes_are_closed_with_the_middleware_whose_settings_do_it(
+        tmp_path, monkeypatch, package, variable, name):
+    monkeypatch.delenv('RMW_IMPLEMENTATION', raising=False)
+    (tmp_path / 'share' / package).mkdir(parents=True)
+    kept = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    assert kept.items() <= middleware.loopback().items()        # whose, nobody knows
+    (tmp_path / 'share' / 'rmw_fastrtps_cpp').mkdir()
+    closed = {'RMW_IMPLEMENTATION': 'rmw_fastrtps_cpp', variable: str(config_file(name)),
+              'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT'}
+    assert middleware.loopback() == closed
+    for key, value in closed.items():           # and so are those that closed ones start
+        monkeypatch.setenv(key, value)
+    assert middleware.loopback() == closed and middleware.profile() == {}
+    monkeypatch.delenv(variable)
+    with monkeypatch.context() as patch:
+        patch.setenv('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
+        assert kept.items() <= middleware.loopback().items()
+        patch.setenv('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp')
+        assert middleware.loopback() == closed
+        patch.setenv(variable, '/mine.xml')
+        assert middleware.loopback() == kept
+
+
+@pytest.mark.parametrize('name', ['fastdds', 'fastdds_loopback'])
+def test_both_versions_are_set_alike(name):
     """But for the one name that changed."""
-    new, old = (ET.canonicalize(from_file=config_file(name), with_comments=False)
-                for name in ('fastdds.xml', 'fastdds_2.xml'))
+    new, old = (ET.canonicalize(from_file=config_file(name + end), with_comments=False)
+                for end in ('.xml', '_2.xml'))
     assert new.replace('heartbeat_period', 'heartbeatPeriod') == old
 
 
-def test_the_middleware_that_is_installed_takes_its_settings(monkeypatch):
+def test_closed_nodes_are_as_quick_as_others():
+    quick, closed = (ET.parse(config_file(name)).getroot()
+                     for name in ('fastdds.xml', 'fastdds_loopback.xml'))
+    for part in ('initialAnnouncements', 'times'):
+        one, two = ([ET.tostring(found) for found in root.iter() if found.tag.endswith(part)]
+                    for root in (quick, closed))
+        assert one == two and one
+
+
+@pytest.mark.parametrize('name', ['fastdds', 'fastdds_loopback'])
+def test_the_middleware_that_is_installed_takes_its_settings(monkeypatch, name):
     """It would tell each name that it does not know on stderr, and pass over the whole file."""
     pytest.importorskip('rclpy')
     monkeypatch.undo()
     for variable in VARIABLES:
         monkeypatch.delenv(variable, raising=False)
-    environment = middleware.profile()
+    environment = middleware.profile(name)
     assert environment
     source = ('import rclpy; from std_msgs.msg import Empty; rclpy.init(); '
               'rclpy.create_node("x").create_publisher(Empty, "t", 1); rclpy.shutdown()')
