@@ -60,6 +60,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+        (f'share/{NAME}/config/security', sorted(glob('config/security/*'))),
         (f'share/{NAME}/config/viewers', sorted(glob('config/viewers/*'))),
         (f'share/{NAME}/launch', [
             f'launch/{name}.launch.py' for name in ('calibrate', 'replay', 'simulate')]),

@@ -42,7 +42,7 @@ def test_an_open_door_is_seen():
 @pytest.mark.skipif(os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST',
                     reason='another middleware than Fast DDS, or settings of the user')
 def test_nodes_talk_to_each_other_and_to_nobody_else(tmp_path, peer):
-    """The four of the demo, started as it starts them, and a subscriber: the test's own process."""
+    """The four of the demo, started as it starts them, and a subscriber in this process."""
     scenario = TAN2018.replace({
         'recorder.output': str(tmp_path / 'run.mcap'), 'estimator.wait_for_subscribers': 1,
         'simulation.wait_for_subscribers': 2, 'simulation.real_time_factor': 1.0})

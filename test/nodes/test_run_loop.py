@@ -133,6 +133,16 @@ def test_missing_parameter_file_is_named_without_traceback():
     assert 'none.yaml' in errors and 'Traceback' not in errors
 
 
+def test_where_security_is_asked_for_and_not_to_be_had_no_node_runs(tmp_path, monkeypatch):
+    """Neither without plugins, as in the wheels of PyPI, nor without an enclave."""
+    (tmp_path / 'enclaves').mkdir()
+    for name, value in (('ENABLE', 'true'), ('STRATEGY', 'Enforce'), ('KEYSTORE', tmp_path)):
+        monkeypatch.setenv(f'ROS_SECURITY_{name}', str(value))
+    status, out, errors = finish(start())
+    assert (status, out) == (2, '')
+    assert re.search(r'^error: .*security', errors, re.M | re.I) and 'Traceback' not in errors
+
+
 @pytest.mark.parametrize('words, said', [(['tan2018.yaml'], 'got tan2018.yaml'),
                                          (['--rate', '2'], 'got --rate 2')])
 def test_arguments_that_no_node_knows_are_refused_and_the_right_ones_named(words, said):

@@ -40,6 +40,7 @@ import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
@@ -58,6 +59,7 @@ USER_ERRORS = (ConfigError, ParameterException, RecordError)
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, *(
     [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN else []))
+RCLError = rclpy_implementation.RCLError
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _stop_requested_at: float | None = None
 _failure: Exception | None = None
@@ -162,8 +164,20 @@ def _initialize(args: list[str] | None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:       # such as a parameter file that cannot be read
-        reason = str(error).split(', at ')[0]       # without rcl's source lines
-        raise ConfigError(f'ROS arguments: {reason}') from None
+        raise ConfigError(f'ROS arguments: {_reason(error)}') from None
+
+
+def _created(make_node: Callable[[], Node]) -> Node:
+    """Create a node; a ConfigError where the middleware gives none."""
+    try:
+        return make_node()
+    except RCLError as error:           # such as a keystore, and a middleware without security
+        raise ConfigError(f'no node: {_reason(error)}') from None
+
+
+def _reason(error: Exception) -> str:
+    """Return what rcl says, without its source lines."""
+    return str(error).split(', at ')[0]
 
 
 def _serve(make_nodes: Sequence[Callable[[], Node]], made: list[Node]) -> None:
@@ -173,7 +187,7 @@ def _serve(make_nodes: Sequence[Callable[[], Node]], made: list[Node]) -> None:
         at_the_end.callback(executor.shutdown)
         at_the_end.callback(lambda: _end(executor, nodes))
         for make_node in make_nodes:
-            nodes.append(make_node())
+            nodes.append(_created(make_node))
             executor.add_node(nodes[-1])
             made.append(nodes[-1])
         try:
