@@ -3,7 +3,7 @@
 
 # Everything a fresh machine needs: each target first makes .venv, with ROS 2 in it, from PyPI.
 
-.PHONY: help demo test lint docs clean browser
+.PHONY: help demo test lint docs audit clean browser
 .DEFAULT_GOAL := help
 
 # The ROS 2 in .venv must not meet one that the shell has sourced.
@@ -17,6 +17,7 @@ help:
 	@echo 'make test   the whole test suite, style included'
 	@echo 'make lint   style, types and the direction of imports only'
 	@echo 'make docs   the documentation, from build/docs/index.html on'
+	@echo 'make audit  known vulnerabilities of what is installed, by pip-audit'
 	@echo 'make clean  remove what the others made'
 
 demo: .venv/installed
@@ -41,6 +42,10 @@ lint: .venv/installed
 docs: .venv/installed
 	.venv/bin/sphinx-build -W --keep-going -q docs build/docs
 	@echo 'Documentation: build/docs/index.html'
+
+# Asks PyPI, so it is no test.
+audit: .venv/installed
+	.venv/bin/python scripts/audit.py
 
 clean:
 	rm -rf .venv demo build docs/api *.egg-info .mypy_cache .pytest_cache .hypothesis

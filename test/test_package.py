@@ -96,6 +96,14 @@ def test_versions_agree():
     assert run(sys.executable, 'setup.py', '--version', cwd=TOP).splitlines()[-1] == version
 
 
+def test_the_audit_asks_for_what_pip_brought_and_not_for_the_checkout():
+    spec = importlib.util.spec_from_file_location('audit', TOP / 'scripts' / 'audit.py')
+    audit = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(audit)
+    names = {line.partition('==')[0].lower().replace('_', '-') for line in audit.installed()}
+    assert 'mcap' in names and 'starcal-ros' not in names
+
+
 def test_colcon_recognizes_a_ros_package(colcon):
     assert re.search(r'^starcal_ros\t.*\t\(ros\.ament_python\)$', colcon('list'), re.MULTILINE)
 
