@@ -6,7 +6,7 @@
 * ``camchain.yaml``: camera and mounting as Kalibr writes them, ``T_cam_imu`` from gyro to optical
   axes. The stars do not tell the lever arm: it is zero;
 * ``imu.yaml``: the gyro as Kalibr reads it, with the bias in addition. There is no accelerometer,
-  so its four entries are for the user to add.
+  so its two entries are for the user to add. Kalibr refuses a random walk of zero.
 """
 
 from __future__ import annotations
@@ -26,6 +26,12 @@ from starcal_ros.messages import conventions, topics
 NAMES = ('camera_info.yaml', 'camchain.yaml', 'imu.yaml')
 
 _CAMERA = 'star_tracker'
+_WALK = 'estimator.process_noise.gyro_bias_deg_h_sqrt_h'
+_NAME = 'gyroscope_random_walk'
+_UNSEEN = """\
+# The bias is stated not to walk, and Kalibr takes no zero. By this walk it would move by its own
+# sigma in the time of the calibration, which could not have seen less: measure it (starcal allan).
+"""
 
 
 def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
@@ -43,8 +49,7 @@ def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
     return dict(zip(NAMES, (
         _dump(_camera_info(camera, scenario)),
         _dump({'cam0': _camchain(camera, result, scenario)}),
-        '# Add accelerometer_noise_density and accelerometer_random_walk.\n'
-        + _dump(_imu(result, scenario)))))
+        _imu(result, scenario))))
 
 
 def _camera_info(camera: conventions.PlumbBob, scenario: Scenario) -> dict[str, Any]:
@@ -74,12 +79,31 @@ def _camchain(camera: conventions.PlumbBob, result: dict[str, Any], scenario: Sc
             'timeshift_cam_imu': offset}
 
 
-def _imu(result: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+def _imu(result: dict[str, Any], scenario: Scenario) -> str:
+    walk = _random_walk(result, scenario)
+    text = _dump({
+        'rostopic': topics.IMU.recorded, 'update_rate': scenario.gyro.rate_hz,
+        'gyroscope_noise_density': scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR,
+        _NAME: walk or _unseen_walk(result, scenario),
+        'gyroscope_bias': (np.array(result['gyro_bias_deg_h']) * DEG_PER_HOUR).tolist()})
+    if not walk:
+        text = text.replace(_NAME, _UNSEEN + _NAME)
+    return '# Add accelerometer_noise_density and accelerometer_random_walk.\n' + text
+
+
+def _random_walk(result: dict[str, Any], scenario: Scenario) -> float:
+    """Return the random walk of the gyro bias that the filter used, 0 where none [rad/s^1.5]."""
     walk = scenario.estimator.process_noise.gyro_bias_deg_h_sqrt_h
-    return {'rostopic': topics.IMU.recorded, 'update_rate': scenario.gyro.rate_hz,
-            'gyroscope_noise_density': scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR,
-            'gyroscope_random_walk': walk * DEG_PER_HOUR / 60.0,
-            'gyroscope_bias': (np.array(result['gyro_bias_deg_h']) * DEG_PER_HOUR).tolist()}
+    for level in result['noise_levels']:
+        if level['parameter'] == _WALK and level['used']:
+            walk = level['value']
+    return walk * DEG_PER_HOUR / 60.0
+
+
+def _unseen_walk(result: dict[str, Any], scenario: Scenario) -> float:
+    """Return the random walk that moves the bias by its sigma in this calibration [rad/s^1.5]."""
+    duration_s = result['counts']['gyro'] / scenario.gyro.rate_hz
+    return float(max(result['gyro_bias_sigma_deg_h']) * DEG_PER_HOUR / np.sqrt(duration_s))
 
 
 def _dump(tree: dict[str, Any]) -> str:

@@ -18,7 +18,9 @@ INTRINSICS = np.array([5.0, 10.0, 25.6, 2e-4, -1e-6, 2e-5, 3e-5])
 C_sg = rotation.from_fixed_angles(np.radians([-0.1, 30.0, 359.8]))
 RESULT = {'intrinsics': dict(zip(INTRINSICS_KEYS, INTRINSICS.tolist())),
           'mounting': {'quaternion_xyzw': rotation.to_quaternion(C_sg).tolist()},
-          'gyro_bias_deg_h': [0.01, 0.02, -0.03]}
+          'gyro_bias_deg_h': [0.01, 0.02, -0.03], 'gyro_bias_sigma_deg_h': [0.001, 0.002, 0.0015],
+          'counts': {'gyro': 90_000}, 'noise_levels': []}
+WALK = 'estimator.process_noise.gyro_bias_deg_h_sqrt_h'
 
 
 @pytest.fixture(scope='module')
@@ -88,10 +90,30 @@ def test_camchain_has_the_time_offset_where_it_was_estimated():
 
 def test_imu_has_the_noise_of_the_scenario_in_si():
     """0.001 deg/sqrt(h) is 2.909e-7 rad/s/sqrt(Hz)."""
-    scenario = TAN2018.replace({'estimator.process_noise.gyro_bias_deg_h_sqrt_h': 0.6})
+    scenario = TAN2018.replace({WALK: 0.6})
     imu = yaml.safe_load(export.files(RESULT, scenario)['imu.yaml'])
     assert (imu['rostopic'], imu['update_rate']) == ('/imu/data_raw', 100.0)
     assert imu['gyroscope_noise_density'] == pytest.approx(2.9089e-7, rel=1e-4)
     # 0.6 deg/h after an hour: 0.01 deg/h after a second
     assert imu['gyroscope_random_walk'] == pytest.approx(0.01 * DEG_PER_HOUR)
     np.testing.assert_allclose(imu['gyroscope_bias'], np.array([0.01, 0.02, -0.03]) * DEG_PER_HOUR)
+
+
+def test_imu_has_the_random_walk_that_was_found_where_one_was_used():
+    level = {'parameter': WALK, 'value': 0.3, 'used': True}
+    for used, expected in ((True, 0.3), (False, 0.6)):
+        text = export.files({**RESULT, 'noise_levels': [{**level, 'used': used}]},
+                            TAN2018.replace({WALK: 0.6}))['imu.yaml']
+        assert yaml.safe_load(text)['gyroscope_random_walk'] == pytest.approx(
+            expected / 60.0 * DEG_PER_HOUR)
+        assert 'Kalibr' not in text
+
+
+@pytest.mark.parametrize('levels', [[], [{'parameter': WALK, 'value': 0.0, 'used': True}]])
+def test_a_bias_that_does_not_walk_gets_the_walk_that_nobody_would_have_seen(levels):
+    """Kalibr refuses 0. In 900 s, 0.002 deg/h, the largest sigma: 0.004 deg/h in an hour."""
+    text = export.files({**RESULT, 'noise_levels': levels}, TAN2018)['imu.yaml']
+    assert yaml.safe_load(text)['gyroscope_random_walk'] == pytest.approx(
+        0.004 / 60.0 * DEG_PER_HOUR)
+    before = text.partition('gyroscope_random_walk')[0]
+    assert 'Kalibr takes no zero' in before and before.endswith('measure it (starcal allan).\n')
