@@ -23,7 +23,8 @@ from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import FrameResult
 from starcal_ros.filter.states import EPSILON
 from starcal_ros.messages import conventions, topics
-from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
+from starcal_ros.messages.conventions import (CALIBRATED_FRAME, GYRO_FRAME, INERTIAL_FRAME,
+                                              OPTICAL_FRAME)
 
 _RESIDUALS = {'u': 'f8', 'v': 'f8', 'du': 'f8', 'dv': 'f8', 'catalog_id': 'u4', 'nis': 'f4',
               'accepted': 'u1'}
@@ -60,11 +61,12 @@ class Contents:
     def __init__(self, types: Types) -> None:
         self._types = types
 
-    def camera_info(self, stamp_ns: int, intrinsics: Array, detector: Detector) -> Any:
-        """Return a camera as sensor_msgs/CameraInfo."""
+    def camera_info(self, stamp_ns: int, intrinsics: Array, detector: Detector, frame_id: str
+                    ) -> Any:
+        """Return a camera as sensor_msgs/CameraInfo; each has a frame of its own."""
         values = conventions.camera_info(intrinsics, detector)
         return self._new(
-            topics.CAMERA.type_name, header=self._header(stamp_ns, OPTICAL_FRAME),
+            topics.CAMERA.type_name, header=self._header(stamp_ns, frame_id),
             height=detector.height, width=detector.width, distortion_model='plumb_bob',
             d=self._types.sequence(np.array(values.D)), k=np.array(values.K),
             r=np.eye(3).ravel(), p=np.array(values.P), binning_x=0, binning_y=0,
@@ -110,14 +112,14 @@ class Contents:
                 'geometry_msgs/msg/PoseWithCovariance', pose=pose,
                 covariance=conventions.mounting_covariance(C_sg, covariance).ravel()))
 
-    def transform(self, stamp_ns: int, C_sg: Array) -> Any:
-        """Return the mounting as geometry_msgs/TransformStamped, gyro -> star_tracker_optical."""
-        return self._new(
-            'geometry_msgs/msg/TransformStamped', header=self._header(stamp_ns, GYRO_FRAME),
-            child_frame_id=OPTICAL_FRAME,
-            transform=self._new('geometry_msgs/msg/Transform',
-                                translation=self._vector(np.zeros(3)),
-                                rotation=self._quaternion(conventions.optical_in_gyro(C_sg))))
+    def transforms(self, stamp_ns: int, C_sg: Array) -> list[Any]:
+        """Return what is on ``/tf_static``: gyro -> star_tracker_optical -> the same, calibrated.
+
+        The second is the identity, for `starcal/camera_info` (`conventions.CALIBRATED_FRAME`).
+        """
+        mounting = conventions.optical_in_gyro(C_sg)
+        return [self._transform(stamp_ns, GYRO_FRAME, OPTICAL_FRAME, mounting),
+                self._transform(stamp_ns, OPTICAL_FRAME, CALIBRATED_FRAME, np.eye(3))]
 
     def labelled(self, layout: Sequence[tuple[str, int]], data: Array) -> Any:
         """Return an array of parts that stand one after the other, each with label and size."""
@@ -158,6 +160,14 @@ class Contents:
         return self._new(topics.TRUE_ATTITUDE.type_name,
                          header=self._header(stamp_ns, INERTIAL_FRAME),
                          quaternion=self._quaternion(C_ig))
+
+    def _transform(self, stamp_ns: int, parent: str, child: str, C: Array) -> Any:
+        """Return the orientation C of one frame in another as geometry_msgs/TransformStamped."""
+        return self._new(
+            'geometry_msgs/msg/TransformStamped', header=self._header(stamp_ns, parent),
+            child_frame_id=child, transform=self._new(
+                'geometry_msgs/msg/Transform', translation=self._vector(np.zeros(3)),
+                rotation=self._quaternion(C)))
 
     def _new(self, type_name: str, **fields: Any) -> Any:
         return self._types.named(type_name)(**fields)

@@ -19,6 +19,10 @@ from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.states import N_STATES, PSI, STATE_NAMES
 
 INERTIAL_FRAME, GYRO_FRAME, OPTICAL_FRAME = 'icrf', 'gyro', 'star_tracker_optical'
+CALIBRATED_FRAME, INTRINSICS_FRAME = (
+    'star_tracker_calibrated_optical', 'star_tracker_intrinsics_optical')
+"""The optical frame again, for the cameras that are calibrated: one CameraInfo a frame, since
+viewers hang the image plane of a camera on its frame, as a frame with one parent."""
 C_os = np.diag([-1.0, -1.0, 1.0])
 """T18's s, which projects with a minus sign, turned to REP-103's optical frame o."""
 

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.calibrator import Calibrator, FrameResult
 from starcal_ros.messages import cdr_imu, topics
-from starcal_ros.messages.conventions import GYRO_FRAME
+from starcal_ros.messages.conventions import CALIBRATED_FRAME, GYRO_FRAME
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.nodes.base.ros_messages import CONTENTS
@@ -41,12 +41,12 @@ class Results:
         estimate, covariance = belief.estimate, belief.covariance
         self._state.publish(CONTENTS.state(stamp_ns, belief))
         self._camera.publish(CONTENTS.camera_info(
-            stamp_ns, estimate.intrinsics, calibrator.filter.detector))
+            stamp_ns, estimate.intrinsics, calibrator.filter.detector, CALIBRATED_FRAME))
         self._bias.publish(CONTENTS.gyro_bias(stamp_ns, estimate.bias, covariance))
         self._mounting.publish(CONTENTS.mounting(stamp_ns, estimate.C_sg, covariance))
         if self._transform:
             self._transform.publish(self._transforms(
-                transforms=[CONTENTS.transform(stamp_ns, estimate.C_sg)]))
+                transforms=CONTENTS.transforms(stamp_ns, estimate.C_sg)))
         self._residuals.publish(CONTENTS.residuals(frame))
 
     def publish_diagnostics(self, message: DiagnosticArray) -> None:

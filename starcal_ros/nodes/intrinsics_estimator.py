@@ -14,6 +14,7 @@ from typing import Any
 from starcal_ros import calibration
 from starcal_ros.config.models import detector
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
+from starcal_ros.messages.conventions import INTRINSICS_FRAME
 from starcal_ros.nodes import intrinsics_diagnostics
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.decoding import decoded
@@ -78,7 +79,7 @@ class IntrinsicsEstimator(ManagedNode):
             intrinsics_diagnostics.message(self, estimate, judged, stamp_ns))
         if estimate is not None:
             self._camera.publish(CONTENTS.camera_info(
-                stamp_ns, estimate.intrinsics, self._detector))
+                stamp_ns, estimate.intrinsics, self._detector, INTRINSICS_FRAME))
             self._state.publish(CONTENTS.intrinsics(stamp_ns, estimate))
         ended = perf_counter()
         self._not_before = ended + (ended - begun) * (1.0 / _SHARE - 1.0)

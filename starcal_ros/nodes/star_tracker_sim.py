@@ -18,6 +18,7 @@ from std_msgs.msg import Float64MultiArray
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages import cdr_image, cdr_pointcloud, topics
+from starcal_ros.messages.conventions import OPTICAL_FRAME
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
@@ -52,7 +53,8 @@ class StarTrackerSim(Simulator):
         self._images = (FlowPublisher(self, Image, topics.IMAGES.name)
                         if self._renderer else None)
         info.publish(CONTENTS.camera_info(
-            self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera)))
+            self._truth.motion.start_ns, intrinsics(scenario.camera), detector(scenario.camera),
+            OPTICAL_FRAME))
         values = self._truth.vector()
         truth.publish(CONTENTS.labelled([(VECTOR_LABEL, len(values))], values))
         self.begin(scenario.simulation, self._images or self._centroids, self._items())

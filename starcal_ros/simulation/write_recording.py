@@ -18,7 +18,7 @@ from starcal_ros.files.output import whole
 from starcal_ros.messages import topics
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.contents import Contents, Types
-from starcal_ros.messages.conventions import GYRO_FRAME
+from starcal_ros.messages.conventions import GYRO_FRAME, OPTICAL_FRAME
 from starcal_ros.recording.qos import LATCHED
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
@@ -85,7 +85,8 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
 
 def _latched(scenario: Scenario, truth: Truth) -> list[Batch]:
     start, values = truth.motion.start_ns, truth.vector()
-    camera = CONTENTS.camera_info(start, intrinsics(scenario.camera), detector(scenario.camera))
+    camera = CONTENTS.camera_info(start, intrinsics(scenario.camera), detector(scenario.camera),
+                                  OPTICAL_FRAME)
     parameters = CONTENTS.labelled([(VECTOR_LABEL, len(values))], values)
     return [Batch(topic.recorded, topic.type_name, np.array([start]),
                   [serialize(topic.type_name, message)], (LATCHED,))

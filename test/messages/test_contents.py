@@ -53,11 +53,11 @@ def plain(type_name, cdr):
 
 @pytest.mark.parametrize('type_name, make', [
     (topics.CAMERA.type_name,
-     lambda c, _: c.camera_info(STAMP_NS, CAMERA, Detector(1024, 768, 0.015))),
+     lambda c, _: c.camera_info(STAMP_NS, CAMERA, Detector(1024, 768, 0.015), 'o')),
     (topics.GYRO_BIAS.type_name,
      lambda c, _: c.gyro_bias(STAMP_NS, CAMERA[:3], SIGMAS @ SIGMAS.T)),
     (topics.MOUNTING.type_name, lambda c, _: c.mounting(STAMP_NS, C, SIGMAS @ SIGMAS.T)),
-    ('geometry_msgs/msg/TransformStamped', lambda c, _: c.transform(STAMP_NS, C)),
+    ('geometry_msgs/msg/TransformStamped', lambda c, _: c.transforms(STAMP_NS, C)[0]),
     (topics.TRUE_PARAMETERS.type_name, lambda c, _: c.labelled([('a', 2), ('b', 5)], CAMERA)),
     (topics.STATE.type_name, lambda c, frame: c.state(STAMP_NS, frame.belief)),
     (topics.INTRINSICS_STATE.type_name, lambda c, _: c.intrinsics(
@@ -68,6 +68,16 @@ def plain(type_name, cdr):
 def test_live_and_recorded_messages_are_the_same_bytes(type_name, make, frame):
     recorded = serialize(type_name, make(RECORDED, frame))
     assert plain(type_name, serialize_message(make(LIVE, frame))) == recorded
+
+
+def test_frames_are_a_tree_and_the_calibrated_camera_is_where_the_star_tracker_is():
+    transforms = RECORDED.transforms(STAMP_NS, C)
+    parents = {each.child_frame_id: each.header.frame_id for each in transforms}
+    assert parents == {'star_tracker_optical': 'gyro',
+                       'star_tracker_calibrated_optical': 'star_tracker_optical'}
+    assert len(parents) == len(transforms)
+    q = transforms[1].transform.rotation
+    assert (q.x, q.y, q.z, q.w) == (0.0, 0.0, 0.0, 1.0)
 
 
 def test_residuals_leave_out_stars_without_a_place(frame):

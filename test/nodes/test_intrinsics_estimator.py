@@ -70,7 +70,7 @@ def test_camera_live_is_that_of_the_same_frames_offline(start, context, tmp_path
         assert float(values[f'{key}_high']) == pytest.approx(each.high, rel=1e-5)
     assert float(values['tolerance_f_mm']) == 2e-4 and float(values['variance_factor_k1']) == 1.0
     info = cameras[-1]
-    assert info.header.frame_id == 'star_tracker_optical'
+    assert info.header.frame_id == 'star_tracker_intrinsics_optical'
     np.testing.assert_allclose(
         from_camera_info(info.k, np.array(info.d), detector(SCENARIO.camera)),
         expected.intrinsics, rtol=1e-9, atol=1e-12)

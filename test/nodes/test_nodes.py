@@ -30,7 +30,7 @@ from starcal_ros.core.units import DEG_PER_SQRT_HOUR  # noqa: E402
 from starcal_ros.core.utc import unix_ns  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
-from starcal_ros.messages import conventions  # noqa: E402
+from starcal_ros.messages import conventions, topics  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.bag import open_bag  # noqa: E402
 from starcal_ros.recording.writer import typestore  # noqa: E402
@@ -146,10 +146,20 @@ def test_each_gyro_reading_gives_one_attitude_that_agrees_with_the_truth(live, r
     assert (np.linalg.eigvalsh(rate[-1]) < reading + 1e-12).all()
 
 
+def test_each_camera_has_a_frame_of_its_own(live):
+    """A viewer hangs the image plane on it: two cameras in one frame would be two parents."""
+    frames = {topic.topic: {message.header.frame_id for message in messages(live, topic.topic)}
+              for topic in reader.summary(live).topics
+              if topic.type == topics.CAMERA.type_name}
+    assert frames == {'/star_tracker/camera_info': {'star_tracker_optical'},
+                      '/starcal/camera_info': {'star_tracker_calibrated_optical'}}
+
+
 def test_results_are_the_estimate_in_the_conventions_of_ros(live, offline):
     estimate, detector = offline.belief.estimate, offline.filter.detector
     info = messages(live, '/starcal/camera_info')[-1]
-    assert (info.distortion_model, info.header.frame_id) == ('plumb_bob', 'star_tracker_optical')
+    assert (info.distortion_model, info.header.frame_id) == (
+        'plumb_bob', 'star_tracker_calibrated_optical')
     np.testing.assert_allclose(conventions.from_camera_info(info.k, info.d, detector),
                                estimate.intrinsics, rtol=1e-9)
     # What image_geometry and image_proc need: five coefficients, nothing rectified, no region.

@@ -183,10 +183,10 @@ class Transforms:
 
 
 def test_stamp_of_transforms_is_that_of_the_first():
-    message = CONTENTS.transform(START_NS + 7, np.eye(3))
+    messages = CONTENTS.transforms(START_NS + 7, np.eye(3))
     named = typestore().types['tf2_msgs/msg/TFMessage']
     of_transforms = stamp_reader(Transforms)
-    assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named([message]))) == START_NS + 7
+    assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named(messages))) == START_NS + 7
     assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named([]))) is None
 
 
