@@ -98,6 +98,15 @@ class EstimatorConfig:
     adapt: Annotated[Strings, Spec(
         'Noise levels that are estimated from the data, in place of the stated ones',
         choices=ADAPTABLE)] = ()
+    earliest_utc: Annotated[str, Spec(
+        'Earliest stamp that a sensor may give, ISO 8601; a message stamped before it is dropped: '
+        'its clock counts from somewhere else than UTC')] = '2000-01-01T00:00:00'
+    latest_utc: Annotated[str, Spec(
+        'Latest stamp that a sensor may give, ISO 8601; a message stamped after it is dropped')
+    ] = '2100-01-01T00:00:00'
+    leap_periods: Annotated[float, Spec(
+        'Periods of its topic by which a stamp may be ahead of the one before it; a message '
+        'further ahead waits until the next confirms it, else it is dropped', '', 1.5, 1e6)] = 5.0
     gap_acceleration_deg_s2: Annotated[float, Spec(
         'Angular acceleration that may hide in a silence of the gyro', 'deg/s^2', 0.0, 1e4,
         changeable=True)] = 1.0

@@ -73,6 +73,12 @@ class StarTrackerConfig:
         "Stamp of a frame minus the middle of its exposure in the gyro's time, as far as it is "
         'known: a positive stamp is late. Frames are taken at their stamp less this', 's',
         -10.0, 10.0)] = 0.0
+    largest_sigma_px: Annotated[float, Spec(
+        'Largest standard deviation that a recording may state of a centroid; a star with more is '
+        'unusable', 'px', 1e-3, 1e3)] = 100.0
+    margin: Annotated[float, Spec(
+        'How far beyond the edge of the detector a centroid may lie, in halves of the detector; '
+        'a star further out is unusable', '', 0.0, 10.0)] = 0.1
     limiting_magnitude: Annotated[float, Spec(
         'Faintest star that is measured, Hp', 'mag', -2.0, 14.0)] = 6.0
 

@@ -213,9 +213,20 @@ def _check_together(scenario: Scenario) -> Iterator[str]:
             yield from _errors(source.check, scenario)
     if scenario.simulation.images:
         yield from _errors(check_trails, 'simulation.images', scenario)
-    for key in ('observer.epoch_utc', 'truth.observer.epoch_utc', 'simulation.start_utc'):
-        if (text := _get(scenario, key)) is not None:
-            yield from _errors(stamp_ns, key, text)
+    wrong = [text for key in ('observer.epoch_utc', 'truth.observer.epoch_utc',
+                              'simulation.start_utc', 'estimator.earliest_utc',
+                              'estimator.latest_utc')
+             if (value := _get(scenario, key)) is not None
+             for text in _errors(stamp_ns, key, value)]
+    yield from wrong or _errors(_check_times, scenario.estimator)
+
+
+def _check_times(estimator: EstimatorConfig) -> None:
+    """Raise ConfigError where no stamp would be believed."""
+    if stamp_ns('estimator.latest_utc', estimator.latest_utc) <= stamp_ns(
+            'estimator.earliest_utc', estimator.earliest_utc):
+        raise ConfigError(f'estimator.latest_utc: got {estimator.latest_utc}, needs to be later '
+                          f'than estimator.earliest_utc, {estimator.earliest_utc}')
 
 
 def check_trails(key: str, scenario: Scenario) -> None:

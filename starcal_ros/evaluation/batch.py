@@ -33,7 +33,7 @@ from starcal_ros.filter.verdict import word
 from starcal_ros.measurements.intake import in_gyro_time
 from starcal_ros.measurements.preintegration import Preintegrated, preintegrate
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
-from starcal_ros.measurements.star_directions import SIGMA_PX
+from starcal_ros.measurements.star_directions import LEAST_SIGMA_PX
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.gyro import GyroSimulator
 from starcal_ros.simulation.truth import Truth
@@ -305,7 +305,7 @@ def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter
         padded.u_i[run, k, rank] = u_i
         padded.uv[run, k, rank] = part.uv_raster - filter_.detector.centre_raster
         sigma = np.where(part.sigma > 0.0, part.sigma, scenario.star_tracker.centroid_sigma_px)
-        padded.sigma[run, k, rank] = np.where(row >= 0, np.maximum(sigma, SIGMA_PX[0]), np.inf)
+        padded.sigma[run, k, rank] = np.where(row >= 0, np.maximum(sigma, LEAST_SIGMA_PX), np.inf)
     return padded, numbers, magnitudes, counts
 
 

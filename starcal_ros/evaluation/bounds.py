@@ -47,7 +47,7 @@ from starcal_ros.evaluation import augmented
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import CALIBRATED, EPSILON, N_STATES, PHI
 from starcal_ros.measurements.samples import Frames
-from starcal_ros.measurements.star_directions import SIGMA_PX
+from starcal_ros.measurements.star_directions import LEAST_SIGMA_PX
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.motion import Motion
 from starcal_ros.simulation.truth import Truth
@@ -214,7 +214,7 @@ def _seen(filter_: Filter, truth: Truth, frames: Frames, u_i: Array) -> Array:
         imaged = augmented.of(state).imaged
         if imaged is not None:
             A[..., among] = imaged(truth, middle_ns[frame], u_i)
-    A *= filter_.scale / np.maximum(frames.sigma, SIGMA_PX[0])[:, None, None]
+    A *= filter_.scale / np.maximum(frames.sigma, LEAST_SIGMA_PX)[:, None, None]
     rows = np.zeros((len(frames), int(frames.star_counts.max(initial=0)), *A.shape[1:]))
     rows[frame, np.arange(len(frame)) - frames.first[frame]] = A
     root = _triangle(rows.reshape(len(frames), -1, A.shape[-1]))

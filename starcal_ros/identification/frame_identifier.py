@@ -19,13 +19,13 @@ import numpy as np
 from starcal_ros.config.models import detector, nominal_camera, observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
-from starcal_ros.core.units import DEG
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identification, Identifier, MirroredError
 from starcal_ros.measurements.frame_rotations import from_gyro
 from starcal_ros.measurements.gyro_buffer import GyroBuffer
 from starcal_ros.measurements.intake import GYRO_KEPT_NS
 from starcal_ros.measurements.notices import Notices
+from starcal_ros.measurements.plausible import Plausible
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.timeline import Timeline
 
@@ -54,20 +54,23 @@ class FrameIdentifier:
             CameraGuess(detector(scenario.camera), camera.intrinsics, camera.covariance),
             observer(scenario.observer), scenario.star_identifier.limiting_magnitude)
         self._identifier.prepare()
-        self._largest_rate = scenario.gyro.largest_rate_deg_s * DEG
         period_ns = 1e9 / scenario.gyro.rate_hz
-        self._gyro_time = Timeline[GyroSamples](period_ns, round(GYRO_KEPT_NS / period_ns))
+        self._gyro_time = Timeline[GyroSamples](
+            period_ns, round(GYRO_KEPT_NS / period_ns), scenario.estimator.leap_periods)
         self._gyro = GyroBuffer()
         self._last: Frames | None = None
         self._waiting: deque[Frames] = deque()
         self._notices = Notices()
         self.take_notices = self._notices.take
+        self._plausible = Plausible(scenario, self._notices)
         self._counts: Counter[str] = Counter()
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take readings, in the order in which they arrived."""
-        for part in self._gyro_time.add(samples.take(samples.plausible(self._largest_rate))):
+        for part in self._gyro_time.add(self._plausible.gyro(samples)):
             self._gyro.add(part)
+        if dropped := self._plausible.take_dropped():
+            self._counts['readings dropped'] += dropped
         while self._gyro_time.later:
             self._gyro.clear()
             for part in self._gyro_time.begin_next():

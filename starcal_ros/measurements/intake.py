@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gyro readings and frames as they arrive, to those that are believed, in order.
 
-What every calibration, live or offline, makes of its two topics first: readings that no gyro
-gives, not finite or beyond its range, are dropped, so is the magnitude that no star has, and
-`timeline` tells which stamps are believed, topic by topic. Where the clock
-of both was set back, or that of the only topic there is, a new stretch begins. Where that of one
-topic alone was, and the other goes on past the time at which it is caught up with, what came too
-late is dropped.
+What every calibration, live or offline, makes of its two topics first: what no sensor gives is
+left out (`plausible`), and `timeline` tells which stamps are believed, topic by topic. Where the
+clock of both was set back, or that of the only topic there is, a new stretch begins. Where that of
+one topic alone was, and the other goes on past the time at which it is caught up with, what came
+too late is dropped.
 """
 
 from __future__ import annotations
@@ -17,11 +16,10 @@ from enum import Enum
 from itertools import chain
 from typing import Any
 
-import numpy as np
-
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core.units import DEG, NS
+from starcal_ros.core.units import NS
 from starcal_ros.measurements.notices import Notices
+from starcal_ros.measurements.plausible import Plausible
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.timeline import NEVER_NS, Dropped, Timeline
 
@@ -30,7 +28,6 @@ GYRO_KEPT_NS = 3600 * 10**9
 FRAMES_KEPT = 20_000
 """Frames that are kept while no reading comes."""
 
-_FAINTEST = 40.0            # magnitude of a star that nobody has seen yet
 _ONE_SIDED_NS = 5 * 10**9   # time that one topic goes on without the other's jump
 
 
@@ -59,12 +56,13 @@ class Intake:
     """
 
     def __init__(self, scenario: Scenario, notices: Notices) -> None:
-        period_ns = 1e9 / scenario.gyro.rate_hz
+        period_ns, leap = 1e9 / scenario.gyro.rate_hz, scenario.estimator.leap_periods
         self._gyro_time = Timeline[GyroSamples](
-            period_ns, kept=round(GYRO_KEPT_NS / period_ns))
-        self._frame_time = Timeline[Frames](1e9 / scenario.star_tracker.rate_hz, kept=FRAMES_KEPT)
+            period_ns, round(GYRO_KEPT_NS / period_ns), leap)
+        self._frame_time = Timeline[Frames](
+            1e9 / scenario.star_tracker.rate_hz, FRAMES_KEPT, leap)
+        self._plausible = Plausible(scenario, notices)
         self._scenario = scenario
-        self._largest_rate = scenario.gyro.largest_rate_deg_s * DEG
         self._notices = notices
         self._gyro: list[GyroSamples] = []
         self._frames: list[Frames] = []
@@ -72,23 +70,12 @@ class Intake:
 
     def add_gyro(self, samples: GyroSamples) -> None:
         """Take gyro samples, in the order in which they arrived."""
-        plausible = samples.plausible(self._largest_rate)
-        if not plausible.all():
-            rate = ', '.join(f'{part:g}' for part in samples.rate[~plausible][0].tolist())
-            self._notices.once('rate', f'gyro reading at {samples.stamp_ns[~plausible][0]} ns is '
-                               f'{rate} rad/s, gyro.largest_rate_deg_s is '
-                               f'{self._largest_rate / DEG:g}: dropped')
-            self._dropped += int((~plausible).sum())
-            samples = samples.take(plausible)
-        self._gyro += self._gyro_time.add(samples)
+        self._gyro += self._gyro_time.add(self._plausible.gyro(samples))
         self._account('gyro reading', self._gyro_time.take_dropped())
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames, in the order in which they arrived."""
-        known = np.abs(frames.magnitude) <= _FAINTEST
-        if not known.all():
-            frames = replace(frames, magnitude=np.where(known, frames.magnitude, np.nan))
-        frames = in_gyro_time(frames, self._scenario)
+        frames = in_gyro_time(self._plausible.frames(frames), self._scenario)
         self._frames += self._frame_time.add(frames)
         self._account('frame', self._frame_time.take_dropped())
 
@@ -101,7 +88,7 @@ class Intake:
     def take_dropped(self) -> int:
         """Return how many messages were dropped since the last call."""
         dropped, self._dropped = self._dropped, 0
-        return dropped
+        return dropped + self._plausible.take_dropped()
 
     @property
     def waiting(self) -> int:

@@ -14,10 +14,9 @@ from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
 
-SIGMA_PX = (1e-4, 1e3)
-"""Least and largest sigma of a centroid; outside, the arithmetic of a filter ends."""
+LEAST_SIGMA_PX = 1e-4
+"""Least sigma of a centroid; below, the arithmetic of a filter ends."""
 
-_OUTSIDE = 1.1              # a centroid may lie this far out, in halves of the detector
 _NAMED = 20                 # stars that the catalogue lacks that are named, at most
 
 
@@ -27,13 +26,16 @@ class StarDirections:
     Parameters
     ----------
     scenario : Scenario
-        Its camera, observer and nominal sigma of a centroid.
+        Its camera, observer, nominal sigma of a centroid, and what is believed of one.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self._detector = detector(scenario.camera)
-        self._sigma = max(scenario.star_tracker.centroid_sigma_px, SIGMA_PX[0])
-        self._least = min(scenario.star_tracker.least_sigma_px, self._sigma)
+        tracker = scenario.star_tracker
+        self._sigma = max(tracker.centroid_sigma_px, LEAST_SIGMA_PX)
+        self._least = min(tracker.least_sigma_px, self._sigma)
+        self._largest = max(tracker.largest_sigma_px, self._sigma)
+        self._reach = 1.0 + tracker.margin      # in halves of the detector
         self._observer = observer(scenario.observer)
 
     def of(self, frames: Frames, notices: Notices | None = None) -> Stars:
@@ -78,19 +80,28 @@ class StarDirections:
         """
         uv = frames.uv_raster - self._detector.centre_raster
         sigma = np.where(frames.sigma == 0.0, self._sigma, frames.sigma)
-        measured = (self._detector.contains(uv / _OUTSIDE)
-                    & (sigma >= SIGMA_PX[0]) & (sigma <= SIGMA_PX[1]))
+        on_detector = self._detector.contains(uv / self._reach)
+        measured = on_detector & (sigma >= LEAST_SIGMA_PX) & (sigma <= self._largest)
         if notices is not None and not measured.all():
-            _name_unmeasured(frames, sigma, int(np.argmin(measured)), notices)
+            self._name_unmeasured(frames, sigma, on_detector, measured, notices)
         return uv, np.where(measured, np.maximum(sigma, self._least), sigma), measured
 
-
-def _name_unmeasured(frames: Frames, sigma: Array, k: int, notices: Notices) -> None:
-    u, v = frames.uv_raster[k]
-    notices.once('star', (
-        f'star {frames.catalog_id[k]} of the frame at {frames.stamp_ns[frames.frame_index[k]]} ns '
-        f'has u, v = {u:g}, {v:g} and sigma {sigma[k]:g}; needs a place on the detector and a '
-        'sigma of {:g} to {:g} px: unusable'.format(*SIGMA_PX)))
+    def _name_unmeasured(self, frames: Frames, sigma: Array, on_detector: Mask, measured: Mask,
+                         notices: Notices) -> None:
+        """Name the first star that is off the detector, and the first with a sigma too far off."""
+        for kind, wrong, needs in (
+                ('place', ~on_detector, 'a place on the detector (star_tracker.margin: '
+                                        f'{self._reach - 1.0:g})'),
+                ('sigma', on_detector & ~measured, f'a sigma of {LEAST_SIGMA_PX:g} to '
+                                                   f'{self._largest:g} px '
+                                                   '(star_tracker.largest_sigma_px)')):
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                u, v = frames.uv_raster[k]
+                notices.once(kind, (
+                    f'star {frames.catalog_id[k]} of the frame at '
+                    f'{frames.stamp_ns[frames.frame_index[k]]} ns has u, v = {u:g}, {v:g} and '
+                    f'sigma {sigma[k]:g}; needs {needs}: unusable'))
 
 
 def _name_unknown(numbers: Ints, notices: Notices) -> None:

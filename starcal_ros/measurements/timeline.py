@@ -32,7 +32,6 @@ SET_BACK_S = 3.0
 """Time that messages must go on in the past before the clock counts as set back [s]."""
 
 NEVER_NS = int(np.iinfo(np.int64).min)
-_FEW = 5                # periods that may pass without a message and arouse no suspicion
 
 
 class Stamped(Protocol):
@@ -77,6 +76,8 @@ class Timeline(Generic[M]):
         Nominal time between two messages.
     kept : int
         Messages of later stretches that are kept, at most.
+    leap_periods : float
+        Periods that may pass without a message and arouse no suspicion.
 
     Attributes
     ----------
@@ -86,10 +87,10 @@ class Timeline(Generic[M]):
         Messages of the stretches after the current one.
     """
 
-    def __init__(self, period_ns: float, kept: int) -> None:
+    def __init__(self, period_ns: float, kept: int, leap_periods: float) -> None:
         self.end_ns = NEVER_NS
         self.later: deque[list[M]] = deque()
-        self._leap_ns = round(_FEW * period_ns)
+        self._leap_ns = round(leap_periods * period_ns)
         self._set_back_ns = max(round(SET_BACK_S * 1e9), self._leap_ns)
         self._kept = kept
         self._newest_ns = NEVER_NS          # of the last stretch

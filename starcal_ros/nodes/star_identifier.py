@@ -99,7 +99,7 @@ class StarIdentifier(ManagedNode):
                 continue
             self._stars.publish(message)
         for text in self._identifier.take_notices():
-            self.faults.add('mirrored', text)
+            self.faults.alike(text)
         self._tally.done.update(self._identifier.take_counts())
 
 

@@ -96,6 +96,18 @@ def test_readings_that_are_late_twice_or_no_numbers_change_nothing(readings):
         np.testing.assert_array_equal(one, other)
 
 
+def test_readings_that_no_gyro_gives_are_counted_and_named_once(readings):
+    gyro, frames = readings
+    rate = gyro.rate.copy()
+    rate[[100, 200], 1] = 1e6
+    identifier = FrameIdentifier(SCENARIO)
+    identifier.add_gyro(replace(gyro, rate=rate))
+    assert_right(run(identifier, frames), frames)
+    assert identifier.take_counts()['readings dropped'] == 2
+    notice, = identifier.take_notices()
+    assert 'gyro.largest_rate_deg_s' in notice
+
+
 def test_a_clock_that_is_set_back_costs_a_search(readings):
     """The readings of a recording that is played in a loop, and its frames."""
     gyro, frames = readings

@@ -111,10 +111,10 @@ def test_frames_set_back_wait_while_the_gyro_has_not_been(intake):
 
 
 def test_a_topic_that_was_set_back_alone_rejoins_the_other(intake):
-    """Its clock shows 1970 for ten seconds, then the time again; what came then is dropped."""
+    """Its clock is an hour behind for ten seconds; what came then is dropped."""
     intake.add_gyro(readings(400))
     stamps = frames(40)
-    stamps.stamp_ns[10:20] -= START_NS
+    stamps.stamp_ns[10:20] -= 3600 * SECOND_NS
     intake.add_frames(stamps)
     intake.take()
     assert intake.settle() is Change.REJOINED

@@ -25,7 +25,7 @@ def steady(begin, count):
 
 def stretches(stamps_ns, cuts=()):
     """Return the stretches, each the places of its messages, and the places of the dropped."""
-    timeline = Timeline(PERIOD_NS, kept=10**6)
+    timeline = Timeline(PERIOD_NS, 10**6, 5.0)
     messages, current, dropped = samples(stamps_ns), [], 0
     bounds = [0, *cuts, len(messages)]
     for low, high in zip(bounds[:-1], bounds[1:]):
@@ -90,7 +90,7 @@ def test_silence_costs_nothing(silence):
 
 
 def test_message_after_a_silence_waits_for_the_next():
-    timeline = Timeline(PERIOD_NS, kept=100)
+    timeline = Timeline(PERIOD_NS, 100, 5.0)
     timeline.add(samples(steady(0, 20)))
     assert timeline.add(samples(steady(30, 1))) == []
     assert len(timeline.add(samples(steady(31, 1)))) == 2
@@ -139,7 +139,7 @@ def test_sorting_follows_the_rules_however_the_messages_are_cut():
 
 def test_overtaken_and_rejoined():
     """A stretch that passes the end of the one before it, and is made part of that."""
-    timeline = Timeline(PERIOD_NS, kept=10**6)
+    timeline = Timeline(PERIOD_NS, 10**6, 5.0)
     timeline.add(samples(steady(0, 500)))
     assert timeline.add(samples(steady(100, 400))) == []
     assert timeline.overtaken_ns is None and len(timeline.later) == 1
@@ -153,7 +153,7 @@ def test_overtaken_and_rejoined():
 
 
 def test_a_stretch_that_waits_keeps_its_newest_messages():
-    timeline = Timeline(PERIOD_NS, kept=500)
+    timeline = Timeline(PERIOD_NS, 500, 5.0)
     timeline.add(samples(steady(0, 5000)))
     for begin in range(0, 4000, 100):
         timeline.add(samples(steady(begin, 100)))
