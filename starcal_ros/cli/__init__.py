@@ -17,7 +17,7 @@ import os
 import sys
 
 import starcal_ros
-from starcal_ros.cli.terminal import say
+from starcal_ros.cli.terminal import printing, say
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.workflows.live_run import NodeError
@@ -31,7 +31,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit status."""
     options = parse(arguments)
     try:
-        status = int(options.run(options))
+        with printing(getattr(options, 'json', False)):
+            status = int(options.run(options))
         sys.stdout.flush()
         return status
     except (ConfigError, RecordError, FileNotFoundError) as error:

@@ -10,7 +10,7 @@ import json
 import numpy as np
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.cli.terminal import progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.files.output import write_text
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='RESULT.json', help='curves and noise to write')
     parser.add_argument('--figure', metavar='PNG', help='draw the Allan deviation')
     outputs.add_overwrite(parser)
-    parser.add_argument('--json', action='store_true', help='print what --out writes, no table')
+    arguments.add_json(parser, 'what --out writes')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -57,16 +57,13 @@ def run(options: argparse.Namespace) -> int:
                'begin_s': rest.begin_s, 'end_s': rest.end_s,
                'readings': rest.readings.stop - rest.readings.start, 'warnings': notices,
                **report.noise_json(curves), 'parameters': lines}
-    text = json.dumps(outcome, indent=1, allow_nan=False)
     title = (f'{topic} of {options.bag}: {outcome["readings"]} readings at {rest.rate_hz:.2f} Hz, '
              f'{rest.begin_s:.1f} to {rest.end_s:.1f} s')
-    if options.json:
-        print(text)
-    else:
-        show(report.noise_table(curves, title))
-        show(lines)
+    show_json(outcome)
+    show(report.noise_table(curves, title))
+    show(lines)
     if options.out:
-        write_text(options.out, text + '\n')
+        write_text(options.out, json.dumps(outcome, indent=1, allow_nan=False) + '\n')
     if options.figure:
         report.noise_figure(curves, title, options.figure)
     return 0

@@ -62,6 +62,11 @@ def add_config(parser: argparse.ArgumentParser, recorded: bool = False) -> None:
         'read; default: that of the only section with its name, or the root')
 
 
+def add_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--json``; `terminal.show_json` prints what it is said to."""
+    parser.add_argument('--json', action='store_true', help=f'print {what} as JSON, no tables')
+
+
 def add_duration(parser: argparse.ArgumentParser) -> None:
     """Add ``--duration``, for `scenario`."""
     parser.add_argument('--duration', metavar='S', type=float,

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.terminal import STATUS, progress, say, show
+from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 
 SUMMARY = 'calibrate without knowing camera or stars'
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='RESULT.json',
                         help='the result of the filter, with the camera after each step')
     outputs.add_overwrite(parser)
+    arguments.add_json(parser, 'what --out writes')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -73,4 +74,5 @@ def run(options: argparse.Namespace) -> int:
     show(f'Verdict: {verdict.of(chain.calibrator, chain.progress).summary}')
     if out is not None:
         result.write_json(out, outcome)
+    show_json(outcome)
     return STATUS[outcome['verdict']]

@@ -7,10 +7,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.check import check_recording
-from starcal_ros.cli.terminal import STATUS, progress, say, show
+from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--no-check', action='store_true', help='skip what starcal check looks at '
                         'before the filter runs')
     outputs.add_overwrite(parser)
+    arguments.add_json(parser, 'what --out writes')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -58,19 +60,20 @@ def run(options: argparse.Namespace) -> int:
         [options.out, options.figure, options.report,
          *([folder / name for name in export.NAMES] if folder else [])],
         [options.bag, options.config, *_saved(scenario).folders()], options.overwrite)
-    calibrator = calibrate_recording(
+    calibrator, outcome = calibrate_recording(
         options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
         Path(options.report) if options.report else None, folder, arguments.topics(options),
         options.adopt, checked=not options.no_check)
+    show_json(outcome)
     return STATUS[result.word(calibrator)]
 
 
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
                         page: Path | None, folder: Path | None = None,
                         choice: TopicChoice = TopicChoice(), adopt: bool = False,
-                        checked: bool = True) -> Calibrator:
-    """Calibrate a recording, write the result, print its table and return the final state."""
+                        checked: bool = True) -> tuple[Calibrator, dict[str, Any]]:
+    """Calibrate a recording, write the result and show it; return the final state and it."""
     from starcal_ros import report
     from starcal_ros.filter import explanations, verdict
     from starcal_ros.filter.noise_levels import said_aloud
@@ -142,7 +145,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         write_page(page, Calibration(outcome, truth, history, judged, used,
                                      contradictions + notices,
                                      calibrator.consistency.history))
-    return calibrator
+    return calibrator, outcome
 
 
 def _saved(scenario: Scenario) -> CalibrationStore:

@@ -5,11 +5,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from typing import TYPE_CHECKING
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.cli.terminal import progress, say, show, show_json
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.files.output import write_text
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--write', metavar='FIXED.yaml',
                         help='parameter file with what is proposed, to calibrate with')
     outputs.add_overwrite(parser)
-    parser.add_argument('--json', action='store_true', help='print the findings as JSON')
+    arguments.add_json(parser, 'the findings')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -48,12 +47,9 @@ def run(options: argparse.Namespace) -> int:
     for text in recording.warnings:
         say(f'warning: {text}')
     checked = check_recording(recording, scenario)
-    if options.json:
-        print(json.dumps({'recording': str(options.bag),
-                          'findings': [each.as_dict() for each in checked.findings],
-                          'untold': list(checked.untold)}, indent=1, allow_nan=False))
-    else:
-        _show(checked)
+    show_json({'recording': str(options.bag), 'untold': list(checked.untold),
+               'findings': [each.as_dict() for each in checked.findings]})
+    _show(checked)
     if options.write:
         write_text(options.write, parameter_file.dump(proposed(scenario, checked.findings)))
     return _FOUND if checked.findings else 0

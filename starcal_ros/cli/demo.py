@@ -9,7 +9,7 @@ from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.calibrate import calibrate_recording
-from starcal_ros.cli.terminal import progress, show
+from starcal_ros.cli.terminal import progress, show, show_json
 
 SUMMARY = 'simulate over ROS 2, record, calibrate'
 DESCRIPTION = ('Start star tracker, gyro, estimator and recorder as separate ROS 2 processes, run '
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--factor', metavar='N', type=float, default=0.0,
                         help='simulated seconds a second; 0 is as fast as the nodes go '
                         '(default: %(default)s)')
+    arguments.add_json(parser, 'the result, and how the live estimates differ from it,')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -45,9 +46,12 @@ def run(options: argparse.Namespace) -> int:
     live_run.make_room(folder)
     with progress('live run') as on_progress:
         recording = live_run.run_live(scenario, folder, on_progress)
-    calibrator = calibrate_recording(recording, scenario, folder / live_run.RESULT,
-                                     folder / live_run.FIGURE, folder / live_run.REPORT)
+    calibrator, outcome = calibrate_recording(
+        recording, scenario, folder / live_run.RESULT, folder / live_run.FIGURE,
+        folder / live_run.REPORT)
     difference = live_run.compare(recording, calibrator)
+    show_json({'folder': str(folder), 'files': list(live_run.FILES),
+               'live_differs_by': difference, 'result': outcome})
     show(f'Live estimator and offline calibration differ by at most {difference:.1e} of the '
          'values.')
     show(f'In {folder}/: {live_run.RECORDING}, {live_run.RESULT}, {live_run.FIGURE}, '

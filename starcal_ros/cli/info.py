@@ -5,17 +5,19 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import show
+from starcal_ros.cli.terminal import show, show_json
 from starcal_ros.files.foreign import clean, literal
 
 if TYPE_CHECKING:
+    from starcal_ros.checks.finding import Finding
+    from starcal_ros.recording.mcap_check import Findings
     from starcal_ros.recording.reader import Summary
 
 SUMMARY = 'tell what a recording holds'
@@ -32,15 +34,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_bag(parser)
     arguments.add_topics(parser)
     parser.add_argument('--check', action='store_true', help='verify all that the recording holds')
+    arguments.add_json(parser, 'the same')
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.recording import reader
+    from starcal_ros.recording.check import check
     summary = reader.summary(options.bag)
+    uses, doubts = _uses(options)
+    stamps, unread = _stamps(options, summary, uses)
+    files = check(Path(options.bag)) if options.check else None
+    show_json(_as_dict(options, summary, uses, [*summary.warnings, *doubts, *unread], stamps,
+                       files))
+    _show_topics(options, summary, {name: word for word, name in uses.items()})
+    for name, size in summary.attachments.items():
+        show(f'attachment {clean(name)}, {size} bytes')
+    for text in (*summary.warnings, *doubts):
+        show(f'warning: {text}')
+    for text in (*unread, *(each.sentence for each in stamps)):
+        show(f'stamps: {text}')
+    if files is None:
+        return 0
+    _show_check(files)
+    return 0 if _is_sound(files) else _FOUND
+
+
+def _as_dict(options: argparse.Namespace, summary: Summary, uses: dict[str, str],
+             warnings: list[str], stamps: list[Finding], files: dict[str, Findings] | None
+             ) -> dict[str, Any]:
+    """Return everything for JSON."""
+    words = {name: word for word, name in uses.items()}
+    values: dict[str, Any] = {
+        'recording': str(options.bag), 'duration_s': summary.duration_s, 'bytes': summary.n_bytes,
+        'topics': [{'name': each.topic, 'type': each.type, 'messages': each.count,
+                    'rate_hz': each.rate_hz if each.rate_hz == each.rate_hz else None,
+                    'first_ns': each.first_ns, 'last_ns': each.last_ns,
+                    'read_as': words.get(each.topic)} for each in summary.topics],
+        'attachments': summary.attachments, 'warnings': warnings,
+        'stamps': [each.as_dict() for each in stamps]}
+    if files is not None:
+        values['check'] = {'sound': _is_sound(files), 'files': {
+            name: dataclasses.asdict(found) for name, found in files.items()}}
+    return values
+
+
+def _show_topics(options: argparse.Namespace, summary: Summary, uses: dict[str, str]) -> None:
     table = Table(title=literal(f'{options.bag}: {summary.duration_s:.2f} s, '
                                 f'{summary.n_bytes / 1e6:.1f} MB'))
-    uses = {name: word for word, name in _uses(options).items()}
     for column in ('topic', 'type', 'messages', 'rate [Hz]', 'read as'):
         table.add_column(column, justify='right' if column in ('messages', 'rate [Hz]')
                          else 'left')
@@ -49,58 +90,50 @@ def run(options: argparse.Namespace) -> int:
         table.add_row(literal(topic.topic, ''), literal(topic.type, ''), str(topic.count), rate,
                       uses.get(topic.topic, ''))
     show(table)
-    for name, size in summary.attachments.items():
-        show(f'attachment {clean(name)}, {size} bytes')
-    for text in summary.warnings:
-        show(f'warning: {text}')
-    for text in _stamps(options, summary, {word: name for name, word in uses.items()}):
-        show(f'stamps: {text}')
-    return _check(Path(options.bag)) if options.check else 0
 
 
-def _check(path: Path) -> int:
-    """Tell whether a recording is sound; return the exit status."""
-    from starcal_ros.recording.check import check
-    results = check(path)
-    for name, found in results.items():
+def _is_sound(files: dict[str, Findings]) -> bool:
+    return not any(found.faults for found in files.values())
+
+
+def _show_check(files: dict[str, Findings]) -> None:
+    """Tell whether a recording is sound."""
+    for name, found in files.items():
         for text in found.faults:
             show(f'fault: {clean(name)}: {text}')
         if found.unchecked:
             show(f'without checksums in {clean(name)}: {", ".join(found.unchecked)}')
-    if any(found.faults for found in results.values()):
-        return _FOUND
-    show(f'sound: {sum(found.messages for found in results.values())} messages in '
-         f'{sum(found.chunks for found in results.values())} chunks')
-    return 0
+    if _is_sound(files):
+        show(f'sound: {sum(found.messages for found in files.values())} messages in '
+             f'{sum(found.chunks for found in files.values())} chunks')
 
 
 def _stamps(options: argparse.Namespace, summary: Summary, used: dict[str, str]
-            ) -> Iterator[str]:
-    """Yield what the stamps of gyro and frames say by themselves."""
+            ) -> tuple[list[Finding], list[str]]:
+    """Return what the stamps of gyro and frames say by themselves, and why they can not."""
     from starcal_ros.checks.stamps import LogTimes, of_clocks, of_topic
     from starcal_ros.messages.cdr import RecordError
     from starcal_ros.recording import reader
     if not {'gyro', 'frames'} <= used.keys():
-        return
+        return [], []
     try:
         recording = reader.read(options.bag, choice=arguments.topics(options))
     except RecordError as error:
-        yield f'can not be read: {error}'
-        return
+        return [], [f'can not be read: {error}']
     logged = {topic.topic: LogTimes(topic.first_ns, topic.last_ns) for topic in summary.topics}
-    found = [*of_topic('gyro readings', recording.gyro.stamp_ns, None, 0.0, 'gyro'),
-             *of_topic('frames', recording.frames.stamp_ns, None, 0.0, 'star tracker'),
-             *of_clocks(recording.gyro.stamp_ns, recording.frames.stamp_ns,
-                        logged.get(recording.frames_topic))]
-    yield from (each.sentence for each in found)
+    return [*of_topic('gyro readings', recording.gyro.stamp_ns, None, 0.0, 'gyro'),
+            *of_topic('frames', recording.frames.stamp_ns, None, 0.0, 'star tracker'),
+            *of_clocks(recording.gyro.stamp_ns, recording.frames.stamp_ns,
+                       logged.get(recording.frames_topic))], []
 
 
-def _uses(options: argparse.Namespace) -> dict[str, str]:
-    """Return the topics that other commands would read, by what they are; say what is open."""
+def _uses(options: argparse.Namespace) -> tuple[dict[str, str], list[str]]:
+    """Return the topics that other commands would read, by what they are, and what is open."""
     from starcal_ros.messages.cdr import RecordError
     from starcal_ros.recording.bag import open_bag
     from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, candidates, choose
-    bag, path, uses = open_bag(Path(options.bag)), Path(options.bag), {}
+    bag, path = open_bag(Path(options.bag)), Path(options.bag)
+    uses, doubts = dict[str, str](), list[str]()
     for word, role, given in zip(('gyro', 'frames', 'images'), (GYRO, FRAMES, IMAGE),
                                  arguments.topics(options)):
         if given or len(found := candidates(bag.topics(), role)) == 1:
@@ -109,7 +142,7 @@ def _uses(options: argparse.Namespace) -> dict[str, str]:
             except RecordError as error:
                 if given:
                     raise
-                show(f'warning: {error}')
+                doubts.append(str(error))
         elif found:
-            show(f'{len(found)} topics may be the {word}: {role.option} chooses one')
-    return uses
+            doubts.append(f'{len(found)} topics may be the {word}: {role.option} chooses one')
+    return uses, doubts

@@ -10,7 +10,7 @@ from typing import Any
 
 from starcal_ros import calibration
 from starcal_ros.cli import arguments, outputs, still_images
-from starcal_ros.cli.terminal import STATUS, progress, say, show
+from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import parameters
 from starcal_ros.core.camera import INTRINSICS
@@ -41,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_topics(parser)
     parser.add_argument('--out', metavar='RESULT.json', help='result to write')
     outputs.add_overwrite(parser)
+    arguments.add_json(parser, 'what --out writes')
     choices = {'method': calibration.names(), 'estimate': list(INTRINSICS)}
     for name in _OPTIONS:
         parameter = parameters()[f'intrinsics.{name}']
@@ -66,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         from starcal_ros.results import result
         result.write_json(options.out, outcome)
+    show_json(outcome)
     return STATUS[outcome['verdict']]
 
 

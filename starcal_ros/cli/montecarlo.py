@@ -9,7 +9,7 @@ import dataclasses
 from pathlib import Path
 
 from starcal_ros.cli import arguments, cluster, outputs
-from starcal_ros.cli.terminal import progress, show
+from starcal_ros.cli.terminal import progress, show, show_json
 
 SUMMARY = 'run a scenario many times'
 DESCRIPTION = ('Simulate and estimate a scenario with many seeds and compare the errors with the '
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         '(default: %(default)s)')
     outputs.add_overwrite(parser)
     cluster.add_dask(parser)
+    arguments.add_json(parser, 'what --out writes')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -50,4 +51,5 @@ def run(options: argparse.Namespace) -> int:
     for point in summary.get('points', [summary]):
         title = f'{study.key} = {point[study.key]}' if study.key else str(options.config or '')
         show(report.study(point, title))
+    show_json(summary)
     return 0

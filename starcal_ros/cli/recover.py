@@ -5,11 +5,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.terminal import show
+from starcal_ros.cli.terminal import show, show_json
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.files.foreign import clean
 
@@ -25,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='BAG', help='file or directory to write; default: BAG '
                         'itself, of which each file that is replaced is kept as FILE.orig')
     outputs.add_overwrite(parser)
-    parser.add_argument('--json', action='store_true', help='print what was done as JSON')
+    arguments.add_json(parser, 'what was done')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,13 +37,11 @@ def run(options: argparse.Namespace) -> int:
         results = recover(bag, out, options.overwrite)
     except OutputExists as error:
         raise ConfigError(str(error)) from None
-    if options.json:
-        print(json.dumps({'recording': str(bag), 'out': str(out or bag), 'files': [
-            {'name': each.name, 'sound': each.sound, 'chunks': each.chunks,
-             'messages': each.messages, 'lost_chunks': each.lost_chunks,
-             'lost_messages': each.lost_messages, 'lost_bytes': each.lost_bytes}
-            for each in results]}, indent=1))
-        return 0
+    show_json({'recording': str(bag), 'out': str(out or bag), 'files': [
+        {'name': each.name, 'sound': each.sound, 'chunks': each.chunks,
+         'messages': each.messages, 'lost_chunks': each.lost_chunks,
+         'lost_messages': each.lost_messages, 'lost_bytes': each.lost_bytes}
+        for each in results]})
     for each in results:
         show(f'{clean(each.name)}: ' + (
             f'sound, {each.messages} messages' if each.sound else

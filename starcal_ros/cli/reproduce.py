@@ -11,7 +11,7 @@ import shutil
 
 from starcal_ros import __version__
 from starcal_ros.cli import arguments, cluster, outputs
-from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.cli.terminal import progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.files.output import write_text
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         '(default: %(default)s)')
     outputs.add_overwrite(parser)
     cluster.add_dask(parser)
+    arguments.add_json(parser, 'what --out writes')
 
 
 def _provenance(name: str, options: argparse.Namespace, scenario: Scenario) -> dict[str, str]:
@@ -79,4 +80,5 @@ def run(options: argparse.Namespace) -> int:
                for name, outcome in outcomes.items()}
     write_text(out, json.dumps(results, indent=1, allow_nan=False) + '\n')
     shutil.rmtree(parts, ignore_errors=True)
+    show_json(results)
     return 0

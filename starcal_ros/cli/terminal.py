@@ -1,11 +1,18 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the command says: results on standard output, progress and messages on standard error."""
+"""What the command says: results on standard output, progress and messages on standard error.
+
+A result is a table for a person, `show`, or JSON for a program, `show_json`: a command gives both,
+and one of them is printed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+import json
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -17,6 +24,17 @@ STATUS = {'converged': 0, 'consistent': 0, 'not yet': 3, 'inconsistent': 4, 'los
 """Exit status of a calibration, by its verdict; the result is written in all of them."""
 
 _UNBOUNDED = 1000       # characters
+_AS_JSON = ContextVar('as_json', default=False)
+
+
+@contextmanager
+def printing(as_json: bool) -> Iterator[None]:
+    """Print results as JSON, or as tables, while this lasts."""
+    token = _AS_JSON.set(as_json)
+    try:
+        yield
+    finally:
+        _AS_JSON.reset(token)
 
 
 @contextmanager
@@ -29,11 +47,19 @@ def progress(text: str) -> Iterator[Callable[[float], None]]:
 
 
 def show(what: Table | str) -> None:
-    """Print on standard output; a file or a pipe is as wide as the widest table."""
+    """Print on standard output, but for JSON; a pipe is as wide as the widest table."""
+    if _AS_JSON.get():
+        return
     console = Console(highlight=False, soft_wrap=True)
     if not console.is_terminal:
         console = Console(highlight=False, soft_wrap=True, width=_UNBOUNDED)
     console.print(literal(what) if isinstance(what, str) else what)
+
+
+def show_json(values: dict[str, Any]) -> None:
+    """Print on standard output where JSON is asked for; NaN and infinity are refused."""
+    if _AS_JSON.get():
+        print(json.dumps(values, indent=1, allow_nan=False))
 
 
 def say(text: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from instruments import CONFIG, TAN2018, TOP
 import starcal_ros
-from starcal_ros.cli import main
+from starcal_ros.cli import COMMANDS, main
 from starcal_ros.config import parameter_file
 from starcal_ros.config.nodes import RecorderConfig
 from starcal_ros.config.scenario import Scenario, from_flat
@@ -263,6 +263,51 @@ def test_info_lists_the_topics_with_types_and_counts(starcal, bag):
         assert str(count) in re.findall(r'\d+', line.split(type_name)[1])
     assert 'config.yaml' in done.out and 'truth.json' in done.out
     assert str(bag) in done.out.replace('\n', '')
+
+
+QUIET = {'simulate', 'play', 'watch'}       # they make or show something, and report nothing
+
+
+def test_every_command_that_reports_gives_json(starcal):
+    for name in set(COMMANDS) - QUIET:
+        assert '--json' in starcal(name, '--help').out, name
+
+
+def test_info_as_json_is_all_that_it_tells(starcal, bag):
+    done = starcal('info', bag, '--json', '--check')
+    told = json.loads(done.out)
+    assert (done.status, done.err, told['recording']) == (0, '', str(bag))
+    assert {each['name']: (each['type'], each['messages'])
+            for each in told['topics']} == TOPICS
+    assert {each['read_as']: each['name'] for each in told['topics'] if each['read_as']} == {
+        'gyro': '/imu/data_raw', 'frames': '/star_tracker/centroids'}
+    gyro = next(each for each in told['topics'] if each['read_as'] == 'gyro')
+    assert gyro['rate_hz'] == pytest.approx(100.0)
+    assert gyro['last_ns'] - gyro['first_ns'] == 19_990_000_000
+    assert set(told['attachments']) == {'config.yaml', 'truth.json'}
+    assert told['warnings'] == told['stamps'] == []
+    assert told['bytes'] == bag.stat().st_size
+    found = told['check']['files'][bag.name]
+    assert told['check']['sound'] and found['messages'] == 2082 and found['faults'] == []
+    assert 'check' not in json.loads(starcal('info', bag, '--json').out)
+
+
+def test_info_as_json_tells_what_is_damaged(starcal, bag, tmp_path):
+    damaged, path = bytearray(bag.read_bytes()), tmp_path / 'damaged.mcap'
+    damaged[len(damaged) // 2] ^= 1
+    path.write_bytes(damaged)
+    done = starcal('info', path, '--json', '--check')
+    told = json.loads(done.out)
+    assert done.status == 4 and not told['check']['sound']
+    assert told['check']['files'][path.name]['faults']
+
+
+@pytest.mark.parametrize('command', ['calibrate', 'intrinsics'])
+def test_json_is_what_the_file_has_and_nothing_else_is_printed(starcal, bag, tmp_path, command):
+    out = tmp_path / 'out.json'
+    done = starcal(command, bag, '--out', out, '--json')
+    assert done.status in (0, NOT_YET)
+    assert json.loads(done.out) == json.loads(out.read_text())
 
 
 def test_seed_makes_the_noise_and_nothing_else_does(starcal, tmp_path):
