@@ -7,6 +7,9 @@ from pathlib import Path
 import re
 
 from starcal_ros.config.scenario import parameters
+from starcal_ros.core.statistic import Statistic
+from starcal_ros.filter.calibrator import Counts
+from starcal_ros.filter.changes import ModelChange
 from starcal_ros.messages.topics import TOPICS
 
 TOP = Path(__file__).parents[1]
@@ -43,3 +46,27 @@ def test_every_topic_and_service_is_named():
         for service in strings(NODES / f'{name}.py'):
             if service.startswith('~/'):
                 assert f'`{name}/{service[2:]}`' in TEXT, service
+
+
+def test_every_key_of_a_result_is_explained():
+    """Those of the dictionaries that are written, and the fields of what is written whole."""
+    table = TEXT.partition('### RESULT.json')[2]
+    rows = dict(re.findall(r'^\| (`[^|]*`) \| (.*) \|$', table, re.MULTILINE))
+    explained = {key: row for keys, row in rows.items() for key in re.findall(r'`(\w+)`', keys)}
+    module = ast.parse((TOP / 'starcal_ros' / 'results' / 'result.py').read_text())
+    function = next(node for node in module.body if getattr(node, 'name', '') == 'result')
+    values = next(node.value for node in ast.walk(function) if isinstance(node, ast.Assign)
+                  and isinstance(node.value, ast.Dict))
+    written = {key.value: value for key, value in zip(values.keys, values.values)}
+    assert set(explained) == {*written, 'explanations', 'augmented'}
+    for key, value in written.items():
+        for name in (each.value for part in ast.walk(value) if isinstance(part, ast.Dict)
+                     for each in part.keys if each is not None):
+            assert f'`{name}`' in explained[key], (key, name)
+    for key, kind in (('counts', Counts.__dataclass_fields__), ('changes', ModelChange._fields),
+                      ('consistency', Statistic._fields)):
+        for name in kind:
+            assert f'`{name}`' in explained[key], (key, name)
+    for name in ('name', 'parameters', 'lines', 'numbers', 'gain', 'score', 'beyond_chance',
+                 'to_adopt', 'tried', 'sentence', 'stretch_s'):
+        assert f'`{name}`' in explained['explanations'], name
