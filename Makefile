@@ -3,7 +3,7 @@
 
 # Everything a fresh machine needs: each target first makes .venv, with ROS 2 in it, from PyPI.
 
-.PHONY: help demo test lint docs audit clean browser
+.PHONY: help demo test lint docs audit reliability clean browser
 .DEFAULT_GOAL := help
 
 # The ROS 2 in .venv must not meet one that the shell has sourced.
@@ -18,6 +18,7 @@ help:
 	@echo 'make lint   style, types and the direction of imports only'
 	@echo 'make docs   the documentation, from build/docs/index.html on'
 	@echo 'make audit  known vulnerabilities of what is installed, by pip-audit'
+	@echo 'make reliability   docs/reliability.md, from its tests and the results of bench/'
 	@echo 'make clean  remove what the others made'
 
 demo: .venv/installed
@@ -46,6 +47,11 @@ docs: .venv/installed
 # Asks PyPI, so it is no test.
 audit: .venv/installed
 	.venv/bin/python scripts/audit.py
+
+# The tests that docs/reliability.md names, and the page from their report.
+reliability: .venv/installed
+	.venv/bin/pytest --junitxml=build/tests.xml $$(.venv/bin/python scripts/make_reliability.py --list)
+	.venv/bin/python scripts/make_reliability.py build/tests.xml
 
 clean:
 	rm -rf .venv demo build docs/api *.egg-info .mypy_cache .pytest_cache .hypothesis

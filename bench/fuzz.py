@@ -4,7 +4,7 @@
 
 ::
 
-    PYTHONPATH=.:test python bench/fuzz.py 1000000 --seed 1
+    PYTHONPATH=.:test python bench/fuzz.py 1000000 --seed 1 --out docs/reliability/fuzz.json
 
 Kinds and damage are those of `test/fuzzed.py`, taken in turns. An input that raises what it must
 not, or ends the process, or takes longer than 20 s, is kept in the folder --keep and counted.
@@ -15,6 +15,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 import hashlib
+import json
 from pathlib import Path
 import resource
 import signal
@@ -66,14 +67,15 @@ def run(seed, count, keep):
 
 
 def main():
-    """Run and print a table."""
+    """Run and write what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('count', type=int, help='inputs')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--jobs', type=int, default=2)
     parser.add_argument('--seconds', type=float, default=np.inf,
-                        help='end after so long; the table says how far it came')
+                        help='end after so long; the result says how far it came')
     parser.add_argument('--keep', type=Path, default=Path('fuzz'), help='for what failed')
+    parser.add_argument('--out', type=Path, help='JSON file to write; else it is printed')
     options = parser.parse_args()
     options.keep.mkdir(exist_ok=True)
     counts, longest, memory, begin = Counter(), 0.0, 0.0, time.perf_counter()
@@ -82,27 +84,29 @@ def main():
     with ProcessPoolExecutor(options.jobs) as pool:
         pending = []
         try:
-            while pending or counts.total() == 0:
+            while True:
                 while len(pending) < options.jobs and (
-                        time.perf_counter() - begin < options.seconds):
-                    seed = next(seeds, None)
-                    if seed is None:
-                        break
+                        time.perf_counter() - begin < options.seconds
+                        and (seed := next(seeds, None)) is not None):
                     pending.append(pool.submit(run, seed, BATCH, options.keep))
                 if not pending:
                     break
-                found, seconds, megabytes = pending.pop(0).result()
-                counts += found
+                part, seconds, megabytes = pending.pop(0).result()
+                counts += part
                 longest, memory = max(longest, seconds), max(memory, megabytes)
         except BrokenProcessPool:
             print(f'A process ended; the input is the last one in {options.keep}/')
-    print('| kind | inputs | read | refused in one line | failed |\n|---|---|---|---|---|')
-    for name in dict.fromkeys(name for name, _ in counts):
-        row = [counts[name, result] for result in ('read', 'refused', 'failed')]
-        print(f'| {name} |', ' | '.join(map(str, [sum(row), *row])), '|')
-    print(f'\n{counts.total()} inputs of {options.count} in '
-          f'{time.perf_counter() - begin:.0f} s; the longest took {longest:.2f} s, the largest '
-          f'process {memory:.0f} MB')
+    found = {'inputs': counts.total(), 'of': options.count, 'seed': options.seed,
+             'jobs': options.jobs, 'seconds': round(time.perf_counter() - begin),
+             'longest_s': round(longest, 2), 'largest_process_mb': round(memory),
+             'kinds': {name: {result: counts[name, result]
+                              for result in ('read', 'refused', 'failed')}
+                       for name in dict.fromkeys(name for name, _ in counts)}}
+    text = json.dumps(found, indent=1) + '\n'
+    if options.out:
+        options.out.write_text(text)
+    else:
+        print(text, end='')
 
 
 if __name__ == '__main__':

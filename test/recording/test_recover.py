@@ -81,10 +81,12 @@ def test_what_a_killed_recorder_left_is_finished_for_every_reader(tmp_path, caps
     assert (tmp_path / 'run.mcap.orig').read_bytes() == content
 
 
-def test_a_file_that_is_cut_anywhere_gives_all_that_is_whole_and_what_is_lost(tmp_path):
+def test_a_file_that_is_cut_anywhere_gives_all_that_is_whole_and_what_is_lost(
+        tmp_path, record_property):
     whole = killed(tmp_path / 'whole.mcap').read_bytes()
     before = 0
-    for size in np.linspace(2000, len(whole), 40).astype(int).tolist():
+    sizes = np.linspace(2000, len(whole), 40).astype(int).tolist()
+    for size in sizes:
         path, out = tmp_path / 'run.mcap', tmp_path / 'out.mcap'
         path.write_bytes(whole[:size])
         expected = read(path, needs_gyro=False) if size > 12_000 else None
@@ -101,6 +103,8 @@ def test_a_file_that_is_cut_anywhere_gives_all_that_is_whole_and_what_is_lost(tm
             assert by_mcap(out) == {GYRO_TOPIC: len(expected.gyro),
                                     FRAMES_TOPIC: len(expected.frames)}
     assert before == 1020
+    record_property('figure', f'cut at {len(sizes)} places, no whole chunk is lost, and mcap and '
+                    'rosbags read each result')
 
 
 def test_damage_inside_costs_its_chunk_alone_and_readers_are_told(tmp_path, capsys):
