@@ -59,7 +59,7 @@ def run(scenario: Scenario, together: bool) -> tuple[float, dict[str, float]]:
         folder = Path(name)
         (folder / 'config.yaml').write_text(parameter_file.dump(scenario.replace({
             'recorder.output': str(folder / 'run.mcap'), 'estimator.wait_for_subscribers': 1,
-            'simulation.wait_for_subscribers': 2})))
+            'simulation.wait_for_subscribers': 2, 'simulation.wait_for_simulators': 1})))
         nodes = ({'all': start('composed', folder, *NODES)} if together
                  else {name: start(name, folder) for name in NODES})
         try:

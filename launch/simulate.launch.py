@@ -22,6 +22,7 @@ def generate_launch_description() -> LaunchDescription:
     # The run begins when all listen that have to, so that none misses anything. A star tracker
     # has two listeners, the gyro the identifier as well.
     pace = {'simulation.images': ParameterValue(images, value_type=bool),
+            'simulation.wait_for_simulators': 1,
             'simulation.real_time_factor':
             ParameterValue(LaunchConfiguration('real_time_factor'), value_type=float)}
     gyro_listeners = ParameterValue(

@@ -57,6 +57,8 @@ class SimulationConfig:
     ] = 1.0
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that each sensor topic must have before the run begins', '', 0, 100)] = 0
+    wait_for_simulators: Annotated[int, Spec(
+        'Other simulators that must be there before the run begins', '', 0, 100)] = 0
     images: Annotated[bool, Spec(
         'The star tracker delivers images (star_tracker/image_raw, group image), and its '
         'centroids as truth/centroids')] = False

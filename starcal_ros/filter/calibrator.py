@@ -62,7 +62,7 @@ class Counts:
     gyro_gaps: int = 0              # silences of the gyro
     missing_gyro: int = 0           # readings that the stamps say are missing
     missing_frames: int = 0         # frames that the stamps say are missing
-    dropped_messages: int = 0       # messages late, duplicate or not finite, also before restarts
+    dropped_messages: int = 0       # late, duplicate, not finite, waited in vain; all restarts
     acquisitions: int = 0           # times the attitude was found from the stars
     restarts: int = 0               # times the clock was set back and all began again
 
@@ -294,7 +294,11 @@ class Calibrator:
     def _process_reached(self, tracked: bool) -> Iterator[FrameResult]:
         frames = self._frames
         if not len(frames):
-            self._gyro.keep_last(GYRO_KEPT_NS)
+            forgotten = self._gyro.keep_last(GYRO_KEPT_NS)
+            if forgotten:
+                self._notices.once('no frames', f'no frame for {GYRO_KEPT_NS * NS:.0f} s: the '
+                                   'oldest gyro readings are dropped')
+                self.counts.dropped_messages += forgotten
             return
         ready = int(np.searchsorted(frames.stamp_ns, self._gyro.newest_ns, side='right'))
         excess = max(0, len(frames) - ready - FRAMES_KEPT)

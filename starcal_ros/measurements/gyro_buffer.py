@@ -63,14 +63,15 @@ class GyroBuffer:
         """Tell whether the readings cover the time up to a stamp."""
         return self.newest_ns >= stamp_ns
 
-    def forget_before(self, stamp_ns: int) -> None:
-        """Forget what `since` would not give for this stamp or a later one."""
-        self._begin += self._row(stamp_ns)
+    def forget_before(self, stamp_ns: int) -> int:
+        """Forget what `since` would not give for this stamp or a later one; return how much."""
+        forgotten = self._row(stamp_ns)
+        self._begin += forgotten
+        return forgotten
 
-    def keep_last(self, duration_ns: int) -> None:
-        """Forget what is older than the newest reading by more than a time."""
-        if len(self):
-            self.forget_before(self.newest_ns - duration_ns)
+    def keep_last(self, duration_ns: int) -> int:
+        """Forget what is older than the newest reading by more than a time; return how much."""
+        return self.forget_before(self.newest_ns - duration_ns) if len(self) else 0
 
     def clear(self) -> None:
         """Forget all readings."""

@@ -43,6 +43,9 @@ TRUE_CENTROIDS = Topic('truth/centroids', 'sensor_msgs/msg/PointCloud2')
 TRUE_ATTITUDE = Topic('truth/attitude', 'geometry_msgs/msg/QuaternionStamped')
 TRUE_PARAMETERS = Topic('truth/parameters', 'std_msgs/msg/Float64MultiArray', latched=True)
 
+PROGRESS = Topic('simulation/progress', 'std_msgs/msg/Header', latched=True)
+"""Of the simulators, for each other; not recorded."""
+
 ATTITUDE = Topic('starcal/imu', 'sensor_msgs/msg/Imu', result=True)
 STATE = Topic('starcal/state', 'std_msgs/msg/Float64MultiArray', latched=True, result=True)
 CAMERA = Topic('starcal/camera_info', 'sensor_msgs/msg/CameraInfo', latched=True, result=True)

@@ -83,7 +83,8 @@ def run_live(scenario: Scenario, folder: Path,
     recording = folder / RECORDING
     scenario = scenario.replace({'recorder.output': str(recording),
                                  'estimator.wait_for_subscribers': 1,
-                                 'simulation.wait_for_subscribers': 2})
+                                 'simulation.wait_for_subscribers': 2,
+                                 'simulation.wait_for_simulators': 1})
     params_file = folder / PARAMETERS
     write_text(params_file, parameter_file.dump(scenario))
     nodes: dict[str, subprocess.Popen[bytes]] = {}
@@ -94,9 +95,9 @@ def run_live(scenario: Scenario, folder: Path,
         for newest_ns in _until_simulated(nodes, McapTail(recording)):
             on_progress(part_over(newest_ns, scenario))
         on_progress(1.0)
-        # Nothing is lost at the beginning: the simulators wait for recorder and estimator, and
-        # that for the recorder. Nor at the end: the simulators end when all they sent has arrived,
-        # the estimator uses up what waits, and then the recorder.
+        # Nothing is lost at the beginning: the simulators wait for each other, recorder and
+        # estimator, and that for the recorder. Nor at the end: the simulators end when all they
+        # sent has arrived, the estimator uses up what waits, and then the recorder.
         for name in ('estimator', 'recorder'):
             nodes[name].send_signal(signal.SIGINT)
             _expect_end(name, nodes[name])

@@ -820,6 +820,10 @@ def test_gyro_without_frames_does_not_grow_without_bound():
         calibrator.add_gyro(GyroSamples(stamps, np.zeros((3600, 3))))
         list(calibrator.process())
         assert held(calibrator) <= 2 * 3600 + 1
+    assert calibrator.counts.gyro == 12 * 3600
+    assert calibrator.counts.dropped_messages == 12 * 3600 - held(calibrator)
+    assert sum('oldest gyro readings are dropped' in text
+               for text in calibrator.take_notices()) == 1
 
 
 def held(calibrator):

@@ -28,7 +28,8 @@ from starcal_ros.workflows import live_run  # noqa: E402
 
 SCENARIO = TAN2018.replace({
     'simulation.duration_s': 60.0, 'simulation.real_time_factor': 0.0,
-    'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2})
+    'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2,
+    'simulation.wait_for_simulators': 1})
 
 
 def test_every_node_is_a_program_that_is_installed():

@@ -183,7 +183,8 @@ def test_recording_carries_configuration_and_truth(recorded):
                                atol=1e-12)
     carried = parameter_file.parse(recorded.attachments['config.yaml'].decode(), 'attachment')
     assert carried.replace({'recorder.output': 'run.mcap'}) == SCENARIO.replace(
-        {'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2})
+        {'estimator.wait_for_subscribers': 1, 'simulation.wait_for_subscribers': 2,
+         'simulation.wait_for_simulators': 1})
 
 
 # One node at a time

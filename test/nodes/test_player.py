@@ -239,7 +239,7 @@ def test_player_names_the_choice_where_there_is_none_or_more(start, renamed, pai
 def test_player_says_what_it_waits_for_and_what_there_is(start, renamed):
     player = start('player', '-p', f'player.bag:={renamed(LEFT)}',
                    '-p', 'player.wait_for_subscribers:=1')
-    said = next(line for line in player.stderr if 'waiting for subscribers' in line)
+    said = next(line for line in player.stderr if 'waiting: ' in line)
     assert f'{LEFT[0]} has 0 of 1' in said
     assert f'the recording has 101 {LEFT[0]}, 20 {LEFT[1]}' in said
     player.send_signal(signal.SIGINT)

@@ -175,19 +175,40 @@ def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
     Until then the timer that is returned looks for them. After five seconds it says what is
     missing, with a remark.
     """
-    publishers, began, told = list(publishers), time.monotonic(), False
+    publishers = list(publishers)
+    return when_there(node, lambda: unheard(publishers, count), callback, remark)
+
+
+def unheard(publishers: Iterable[FlowPublisher], count: int) -> list[str]:
+    """Return which publishers have fewer subscribers than that, in words."""
+    return [f'{publisher.topic} has {publisher.subscribers} of {count} subscribers'
+            for publisher in publishers if publisher.subscribers < count]
+
+
+def when_there(node: Node, missing: Callable[[], list[str]], callback: Callable[[], None],
+               remark: str = '') -> Timer:
+    """Call back, once and from the loop, when nothing is missing; see `when_subscribed`.
+
+    Parameters
+    ----------
+    node : Node
+    missing : callable
+        Returns what is missing, in words.
+    callback : callable
+    remark : str
+        Said after what is missing.
+    """
+    began, told = time.monotonic(), False
 
     def poll() -> None:
         nonlocal told
-        missing = [publisher for publisher in publishers if publisher.subscribers < count]
-        if not missing:
+        wanting = missing()
+        if not wanting:
             run_loop.end_timer(node, timer)
             callback()
         elif not told and time.monotonic() - began > _WORTH_TELLING_S:
             told = True
-            node.get_logger().info('waiting for subscribers: ' + ', '.join(
-                f'{publisher.topic} has {publisher.subscribers} of {count}'
-                for publisher in missing) + remark)
+            node.get_logger().info(f'waiting: {", ".join(wanting)}{remark}')
 
     timer = run_loop.steady_timer(node, 0.02, poll)
     return timer

@@ -36,11 +36,15 @@ class SimulatedClock:
         Simulated seconds a second; 0 shows a time at which everything is due.
     real_ns : callable
         The time that really passes.
+    limit_ns : callable
+        Stamp at which it stands until there is a later one.
     """
 
     def __init__(self, start_ns: int, factor: float,
-                 real_ns: Callable[[], int] = time.monotonic_ns) -> None:
+                 real_ns: Callable[[], int] = time.monotonic_ns,
+                 limit_ns: Callable[[], int] = lambda: _ALWAYS_DUE) -> None:
         self._start_ns, self._factor, self._real_ns = start_ns, factor, real_ns
+        self._limit_ns = limit_ns
         self._shown_ns = start_ns - 1               # when it last began to run or was stopped
         self._running_since_ns: int | None = None
         self._begun = self._stopped = False
@@ -65,11 +69,15 @@ class SimulatedClock:
         """Return the stamp up to which everything is due."""
         if self._running_since_ns is None:
             return self._shown_ns
+        limit_ns = self._limit_ns()
         if self._factor == 0.0:
-            return _ALWAYS_DUE
+            return limit_ns
         real_ns = self._real_ns()
         self._running_since_ns = self._running_since_ns or real_ns      # 0: no /clock yet
-        return self._shown_ns + round((real_ns - self._running_since_ns) * self._factor)
+        now_ns = self._shown_ns + round((real_ns - self._running_since_ns) * self._factor)
+        if now_ns > limit_ns:
+            self._shown_ns, self._running_since_ns = limit_ns, real_ns
+        return min(now_ns, limit_ns)
 
 
 def passing_time(node: Node) -> Callable[[], int]:
@@ -84,6 +92,16 @@ class Feed:
 
     A subscriber that is behind delays the feed; what is late is then published at once.
 
+    Parameters
+    ----------
+    node : Node
+    clock : SimulatedClock
+        Tells what is due.
+    items : iterator of Item
+        In the order of their stamps.
+    on_progress : callable
+        Called with the stamp before which all is published, None when all is.
+
     Attributes
     ----------
     published : int
@@ -94,8 +112,9 @@ class Feed:
         True when all items are published and acknowledged.
     """
 
-    def __init__(self, node: Node, clock: SimulatedClock, items: Iterator[Item]) -> None:
-        self._clock, self._items = clock, items
+    def __init__(self, node: Node, clock: SimulatedClock, items: Iterator[Item],
+                 on_progress: Callable[[int | None], None] = lambda stamp_ns: None) -> None:
+        self._clock, self._items, self._on_progress = clock, items, on_progress
         self._next = next(items, None)
         self._last_ns = self._next[0] if self._next else 0
         self._used: set[FlowPublisher] = set()
@@ -130,6 +149,7 @@ class Feed:
             self._used.add(publisher)
             self.published += 1
             self._next = next(self._items, None)
+        self._on_progress(self._next[0] if self._next else None)
         if self._next is None and all(p.acknowledged for p in self._used):
             self.finished = True
             self._timer.cancel()

@@ -1,13 +1,15 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulator nodes have in common: they publish one run, then end."""
+"""What the simulator nodes have in common: they publish one run, together, then end."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from starcal_ros.config.scenario import SimulationConfig, stamp_ns
-from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
+from starcal_ros.nodes.base.convoy import Convoy
+from starcal_ros.nodes.base.flow_publisher import FlowPublisher, unheard, when_there
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock, passing_time
 from starcal_ros.nodes.base.parameters import AnsweringNode
 
@@ -17,11 +19,16 @@ class Simulator(AnsweringNode):
 
     def begin(self, simulation: SimulationConfig, sensor: FlowPublisher, items: Iterator[Item]
               ) -> None:
-        """Start the run as soon as the sensor's topic has the subscribers it must have."""
+        """Start the run as soon as all are there that it must have.
+
+        These are the subscribers of the sensor's topic, and the other simulators.
+        """
         start_ns = stamp_ns('simulation.start_utc', simulation.start_utc)
-        clock = SimulatedClock(start_ns, simulation.real_time_factor, passing_time(self))
-        self._feed = Feed(self, clock, items)
-        when_subscribed(self, [sensor], simulation.wait_for_subscribers, clock.begin)
+        convoy = Convoy(self, start_ns)
+        clock = SimulatedClock(start_ns, simulation.real_time_factor, passing_time(self),
+                               lambda: convoy.limit_ns)
+        self._feed = Feed(self, clock, items, convoy.tell)
+        when_there(self, partial(_missing, sensor, simulation, convoy), clock.begin)
 
     @property
     def finished(self) -> bool:
@@ -31,3 +38,11 @@ class Simulator(AnsweringNode):
     def close(self) -> None:
         """Deliver what was published."""
         self._feed.close()
+
+
+def _missing(sensor: FlowPublisher, simulation: SimulationConfig, convoy: Convoy) -> list[str]:
+    """Return who must be there before the run begins, and is not, in words."""
+    missing, simulators = unheard([sensor], simulation.wait_for_subscribers), convoy.others
+    if simulators < simulation.wait_for_simulators:
+        missing.append(f'{simulators} of {simulation.wait_for_simulators} other simulators')
+    return missing

@@ -1,0 +1,93 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulators as processes, as fast as they go: neither leaves the other behind."""
+
+import signal
+import time
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from rclpy.qos import QoSProfile  # noqa: E402
+from sensor_msgs.msg import Imu, PointCloud2  # noqa: E402
+
+from instruments import TAN2018  # noqa: E402
+from peer import PATIENCE_S  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.core.utc import unix_ns  # noqa: E402
+from starcal_ros.nodes.base.convoy import LEAD_S  # noqa: E402
+from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
+
+SCENARIO = TAN2018.replace({'simulation.real_time_factor': 0.0,
+                            'simulation.wait_for_subscribers': 1,
+                            'simulation.wait_for_simulators': 1})
+START_S = unix_ns(SCENARIO.simulation.start_utc) * 1e-9
+NAMES = ('gyro_sim', 'star_tracker_sim')
+NEWEST = QoSProfile(depth=1)
+
+
+@pytest.fixture
+def newest(peer):
+    """Return a function that gives the newest stamp of a simulator, since the start [s]."""
+    heard = {'gyro_sim': peer.listen(Imu, 'imu/data_raw', NEWEST),
+             'star_tracker_sim': peer.listen(PointCloud2, 'star_tracker/centroids', NEWEST)}
+
+    def read(name):
+        messages = heard[name]
+        del messages[:-1]
+        stamp = messages[-1].header.stamp if messages else None
+        return stamp.sec - START_S + stamp.nanosec * 1e-9 if stamp else -1.0
+    return read
+
+
+def passes(peer, seconds):
+    """Let a time pass."""
+    ends = time.monotonic() + seconds
+    peer.until(lambda: time.monotonic() > ends)
+
+
+@pytest.mark.parametrize('slow, fast', [NAMES, NAMES[::-1]])
+def test_one_that_stands_holds_up_the_other_until_it_goes_on_or_leaves(
+        start, peer, newest, tmp_path, slow, fast):
+    config = tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(SCENARIO))
+    processes = {fast: start(fast, '--params-file', str(config))}
+    peer.until(lambda: peer.node.count_publishers('simulation/progress') == 1)
+    passes(peer, 1.0)
+    assert newest(fast) < 0.0                   # alone it does not begin
+    processes[slow] = start(slow, '--params-file', str(config))
+    peer.until(lambda: min(map(newest, NAMES)) > 2.0 * LEAD_S)
+    processes[slow].send_signal(signal.SIGSTOP)
+    passes(peer, 0.5)
+    # What it published in its last turn, five seconds at most, it may not have told.
+    peer.until(lambda: newest(fast) > newest(slow) + LEAD_S - 6.5)
+    passes(peer, 1.0)
+    stands = newest(fast)
+    assert stands <= newest(slow) + LEAD_S
+    processes[slow].send_signal(signal.SIGCONT)
+    peer.until(lambda: min(map(newest, NAMES)) > stands + 3.0 * LEAD_S)
+    processes[slow].send_signal(signal.SIGINT)
+    assert processes[slow].wait(PATIENCE_S) == 0
+    left = newest(slow)
+    peer.until(lambda: newest(fast) > left + 3.0 * LEAD_S)
+    assert processes[fast].poll() is None
+    processes[fast].send_signal(signal.SIGINT)
+    assert processes[fast].wait(PATIENCE_S) == 0
+
+
+@pytest.mark.parametrize('factor', [0.0, 10.0])
+def test_clock_stands_at_its_limit_and_goes_on_from_there(factor):
+    """It does not make up for the time in which it stood, which would be a burst."""
+    real_ns, limit_ns = 0, 2**62
+    clock = SimulatedClock(1000, factor, lambda: real_ns + 10**9, lambda: limit_ns)
+    clock.begin()
+    assert clock.now_ns() == (2**62 if factor == 0.0 else 1000)
+    limit_ns, real_ns = 1500, 100
+    assert clock.now_ns() == 1500
+    real_ns = 10_000
+    assert clock.now_ns() == 1500
+    limit_ns = 2000
+    assert clock.now_ns() == (2000 if factor == 0.0 else 1500)
+    real_ns += 30
+    assert clock.now_ns() == (2000 if factor == 0.0 else 1800)
