@@ -11,12 +11,13 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration
-from starcal_ros.nodes.base.launch_end import end_in_turn
+from starcal_ros.nodes.base.launch_end import IN_PEACE, end_in_turn
 
 
 def generate_launch_description() -> LaunchDescription:
     """Start the estimator and the recorder on the topics of the sensors."""
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
+    each = {'package': 'starcal_ros', 'output': 'screen', 'namespace': namespace, **IN_PEACE}
     images = LaunchConfiguration('images')
 
     def parameter(name: str, argument: str, kind: type) -> dict[str, ParameterValue]:
@@ -30,23 +31,22 @@ def generate_launch_description() -> LaunchDescription:
               ('/tf_static', 'tf_static')]
 
     def estimator(condition: IfCondition | UnlessCondition, *more: dict[str, bool]) -> Node:
-        return Node(package='starcal_ros', executable='estimator', output='screen',
-                    namespace=namespace, condition=condition, remappings=topics,
+        return Node(executable='estimator', **each, condition=condition, remappings=topics,
                     parameters=[*common, {'estimator.wait_for_subscribers': 1},
                                 parameter('estimator.load_calibration', 'load_calibration', bool),
                                 *more])
 
     nodes = [
-        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
-             namespace=namespace, condition=IfCondition(images), remappings=topics,
+        Node(executable='centroid_extractor', **each, condition=IfCondition(images),
+             remappings=topics,
              parameters=[*common, {'centroid_extractor.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='star_identifier', output='screen',
-             namespace=namespace, condition=IfCondition(images), remappings=topics,
+        Node(executable='star_identifier', **each, condition=IfCondition(images),
+             remappings=topics,
              parameters=[*common, {'star_identifier.wait_for_subscribers': 2}]),
         # The sigma of a centroid that is extracted holds the trail of a moving star already.
         estimator(UnlessCondition(images)),
         estimator(IfCondition(images), {'star_tracker.smear': False}),
-        Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
+        Node(executable='recorder', **each,
              parameters=[*common, parameter('recorder.output', 'output', str)],
              remappings=topics),
     ]

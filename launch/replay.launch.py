@@ -8,12 +8,13 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from starcal_ros.nodes.base.launch_end import end_in_turn
+from starcal_ros.nodes.base.launch_end import IN_PEACE, end_in_turn
 
 
 def generate_launch_description() -> LaunchDescription:
     """Start the player and the estimator, which ends when the recording does."""
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
+    each = {'package': 'starcal_ros', 'output': 'screen', 'namespace': namespace, **IN_PEACE}
     # The replay begins when the estimator listens, so that it misses nothing.
     playback = {'player.wait_for_subscribers': 1, 'player.rename': True, **{
         f'player.{name}': ParameterValue(LaunchConfiguration(argument), value_type=kind)
@@ -25,12 +26,11 @@ def generate_launch_description() -> LaunchDescription:
     time = {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     others = [
-        Node(package='starcal_ros', executable='estimator', output='screen', namespace=namespace,
+        Node(executable='estimator', **each,
              parameters=[config, time, autostart], remappings=[('/tf_static', 'tf_static')]),
     ]
     sources = [
-        Node(package='starcal_ros', executable='player', output='screen', namespace=namespace,
-             parameters=[config, playback]),
+        Node(executable='player', **each, parameters=[config, playback]),
     ]
     return LaunchDescription([
         DeclareLaunchArgument('bag', description='rosbag2 directory or .mcap file'),

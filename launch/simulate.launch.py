@@ -12,12 +12,13 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
-from starcal_ros.nodes.base.launch_end import end_in_turn
+from starcal_ros.nodes.base.launch_end import IN_PEACE, end_in_turn
 
 
 def generate_launch_description() -> LaunchDescription:
     """Start both simulators, the estimator and the recorder on one configuration."""
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
+    each = {'package': 'starcal_ros', 'output': 'screen', 'namespace': namespace, **IN_PEACE}
     images = LaunchConfiguration('images')
     # The run begins when all listen that have to, so that none misses anything. A star tracker
     # has two listeners, the gyro the identifier as well.
@@ -32,28 +33,23 @@ def generate_launch_description() -> LaunchDescription:
     tf = [('/tf_static', 'tf_static')]
 
     def estimator(condition: IfCondition | UnlessCondition, *more: dict[str, bool]) -> Node:
-        return Node(package='starcal_ros', executable='estimator', output='screen',
-                    namespace=namespace, condition=condition, remappings=tf,
+        return Node(executable='estimator', **each, condition=condition, remappings=tf,
                     parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}, *more])
 
     others = [
-        Node(package='starcal_ros', executable='centroid_extractor', output='screen',
-             namespace=namespace, condition=IfCondition(images),
+        Node(executable='centroid_extractor', **each, condition=IfCondition(images),
              parameters=[config, autostart, {'centroid_extractor.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='star_identifier', output='screen',
-             namespace=namespace, condition=IfCondition(images),
+        Node(executable='star_identifier', **each, condition=IfCondition(images),
              parameters=[config, autostart, {'star_identifier.wait_for_subscribers': 2}]),
         # The sigma of a centroid that is extracted holds the trail of a moving star already.
         estimator(UnlessCondition(images)),
         estimator(IfCondition(images), {'star_tracker.smear': False}),
-        Node(package='starcal_ros', executable='recorder', output='screen', namespace=namespace,
-             parameters=[config, output, autostart], remappings=tf),
+        Node(executable='recorder', **each, parameters=[config, output, autostart], remappings=tf),
     ]
     sources = [
-        Node(package='starcal_ros', executable='star_tracker_sim', output='screen',
-             namespace=namespace,
+        Node(executable='star_tracker_sim', **each,
              parameters=[config, pace, {'simulation.wait_for_subscribers': 2}]),
-        Node(package='starcal_ros', executable='gyro_sim', output='screen', namespace=namespace,
+        Node(executable='gyro_sim', **each,
              parameters=[config, pace, {'simulation.wait_for_subscribers': gyro_listeners}]),
     ]
     return LaunchDescription([

@@ -81,6 +81,11 @@ class Player(parameters.AnsweringNode):
         """True when the bag is at its end and all of it delivered."""
         return self._feed.finished
 
+    @property
+    def drained(self) -> bool:
+        """True when all that was published is delivered, or can not be."""
+        return self._feed.drained
+
     def close(self) -> None:
         """Deliver what was published."""
         self._feed.close()

@@ -30,13 +30,13 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.timer import Timer
 
-from starcal_ros.nodes.base import run_loop
+from starcal_ros.nodes.base import ending, run_loop
 from starcal_ros.nodes.base.qos import LATCHED, POLICIES, STREAM
 
 PATIENCE_S = 10.0               # of a node that serves sensors, with a subscriber that hangs
 _POLL = Duration(seconds=0.05)  # a signal is seen between two of these
 _WORTH_TELLING_S = 5.0
-_GRACE_S = 3.0                  # after a stop, to hand over what has been worked out
+_GRACE_S = 3.0                  # after a stop, with a subscriber that takes nothing
 _RETRY_S = 1.0                  # between tries for a subscriber that takes nothing
 
 
@@ -54,6 +54,11 @@ class FlowPublisher:
         Longest wait for a subscriber that takes nothing. After that messages are lost to it,
         which is said, until it takes some again: a node that serves real sensors can not stop
         for a display that hangs.
+
+    Attributes
+    ----------
+    gave_up : bool
+        Whether the process was asked to end and a subscriber took nothing more.
     """
 
     def __init__(self, node: Node, message_type: type, topic: str, *,
@@ -69,7 +74,7 @@ class FlowPublisher:
         self._patience_s = patience_s
         self._next_try = -math.inf      # when patience is at its end
         self._lost = 0
-        self._told = self._gave_up = False
+        self._told = self.gave_up = False
 
     @property
     def topic(self) -> str:
@@ -96,11 +101,14 @@ class FlowPublisher:
         Returns
         -------
         published : bool
-            False when the process was asked to end some time ago, or patience is at its end.
+            False when the process was asked to end and a subscriber has taken nothing for some
+            time, or patience is at its end.
         """
-        while self._gave_up or time.monotonic() < self._next_try or not self._try(message):
-            if run_loop.seconds_since_stop() > _GRACE_S:
-                self._gave_up = True        # what follows would wait in vain as well
+        if run_loop.stop_requested():       # before the loop can say so
+            ending.announce(self._node)
+        while self.gave_up or time.monotonic() < self._next_try or not self._try(message):
+            if self.gave_up or min(self._waited_s, run_loop.seconds_since_stop()) > _GRACE_S:
+                self._give_up()
                 return False
             if self._waited_s > self._patience_s:
                 self._lose()
@@ -111,6 +119,15 @@ class FlowPublisher:
             self._tell_waiting()
         self._tell_going_on()
         return True
+
+    def _give_up(self) -> None:
+        if not self.gave_up:            # what follows would wait in vain as well
+            self.gave_up = True
+            self.tell_undelivered()
+
+    def tell_undelivered(self) -> None:
+        """Say that the node ends though not all has arrived."""
+        self._log.error(f'{self.topic}: a subscriber has not taken all, the rest is lost to it')
 
     def _try(self, message: Any) -> bool:
         if not self._has_room():
@@ -157,15 +174,15 @@ class FlowPublisher:
         self._waiting_since, self._told, self._lost = None, False, 0
 
 
-def drain(publishers: Iterable[FlowPublisher], patience_s: float = 1.0) -> bool:
-    """Wait at most `patience_s` until all that was published is acknowledged."""
+def drain(publishers: Iterable[FlowPublisher], patience_s: float) -> None:
+    """Wait at most `patience_s` until all that was published is acknowledged; say what is not."""
     deadline = time.monotonic() + patience_s
     for publisher in publishers:
-        while not publisher.acknowledged:
+        while not publisher.acknowledged and not publisher.gave_up:
             if time.monotonic() > deadline:
-                return False
+                publisher.tell_undelivered()
+                break
             time.sleep(0.01)
-    return True
 
 
 def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,

@@ -22,6 +22,7 @@ is said and counted (`faults`), and the node goes on.
 from __future__ import annotations
 
 from collections.abc import Callable
+import time
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException
@@ -30,14 +31,16 @@ from rclpy.service import Service
 from rclpy.timer import Timer
 
 from starcal_ros.messages.topics import Topic
-from starcal_ros.nodes.base import parameters, run_loop
+from starcal_ros.nodes.base import ending, parameters, run_loop
 from starcal_ros.nodes.base.faults import Faults
 from starcal_ros.nodes.base.flow_publisher import PATIENCE_S, FlowPublisher, drain, when_subscribed
 from starcal_ros.nodes.base.matched_subscription import BATCH, MatchedSubscription
 from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.nodes.base.run_loop import USER_ERRORS
 
-_DRAIN_S = 6.0          # for the last messages; acknowledgements may take 3 s
+_DRAIN_S = 10.0         # for the last messages; acknowledgements may take 3 s
+_SILENCE_S = 10.0       # of nodes that are ending, after which they are waited for no more
+_LOOK_S = 0.05          # between looks for them
 
 
 class ManagedNode(parameters.AnsweringNode, LifecycleNode):
@@ -73,6 +76,8 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
         self._running: list[Timer] = []         # while active
         self._error: Exception | None = None
         self._raising = False           # whether whoever asks for a transition hears of an error
+        self._next_look_s = 0.0
+        self._received, self._heard_s = 0, 0.0
 
     def start(self) -> None:
         """Become active where ``autostart`` says so, or raise what keeps it from that."""
@@ -164,6 +169,26 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
     def finished(self) -> bool:
         """True when the node has been shut down."""
         return self.state == 'finalized'
+
+    @property
+    def drained(self) -> bool:
+        """True when no other node that is ending speaks to this one any more."""
+        now_s = time.monotonic()
+        if not any(subscription.publishers for subscription in self.inputs):
+            return True
+        received = sum(subscription.received for subscription in self.inputs)
+        if received != self._received:
+            self._received, self._heard_s = received, now_s
+        stopped_s = run_loop.seconds_since_stop()
+        if stopped_s < ending.SETTLE_S or now_s < self._next_look_s:
+            return False
+        self._next_look_s = now_s + _LOOK_S
+        speakers = ending.speakers(self, [subscription.topic for subscription in self.inputs])
+        if speakers and min(stopped_s, now_s - self._heard_s) > _SILENCE_S:
+            self.get_logger().error(f'{", ".join(speakers)}: silent for {_SILENCE_S:.0f} s and '
+                                    'not ended: what is still to come is lost')
+            return True
+        return not speakers
 
     def close(self) -> None:
         """Shut the node down, from whatever state."""

@@ -20,6 +20,7 @@ from starcal_ros.nodes.base.matched_subscription import BATCH
 
 Item = tuple[int, FlowPublisher, Any]       # stamp [ns], where, message or CDR bytes
 
+DRAIN_S = 10.0                  # after a stop, for subscribers to take what was published
 _PERIOD_S = 0.005
 _TURN_S = 0.1                   # longest turn: signals, services and parameters get theirs
 _ALWAYS_DUE = 2**63 - 1
@@ -154,6 +155,12 @@ class Feed:
             self.finished = True
             self._timer.cancel()
 
+    @property
+    def drained(self) -> bool:
+        """True when the subscribers have what was published, or do not take it."""
+        return (run_loop.seconds_since_stop() > DRAIN_S
+                or all(each.acknowledged or each.gave_up for each in self._used))
+
     def close(self) -> None:
         """Let the subscribers have what was published."""
-        drain(self._used)
+        drain(self._used, 0.0 if run_loop.stop_requested() else DRAIN_S)

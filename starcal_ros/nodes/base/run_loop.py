@@ -13,13 +13,15 @@ A node may have
   the process ends;
 * ``failed``: true when it could not do what it is there for, and has said so; the others go on,
   and the process ends with status 1;
+* ``drained``: false while there is something to wait for though the process was asked to end, as
+  what others that are ending as well still send (`ending`); it is served until then;
 * ``close()``: called once before it is destroyed, whatever ended it;
 * ``inputs``: subscriptions (`MatchedSubscription`) that the loop empties itself. The executor
   builds a set of all that it waits for, twice a message, which takes longer than the message does;
   so where all nodes of a process have inputs it gets a turn now and then, for the rest.
 
 Several nodes in one process share one thread, so a callback must not wait for what another of
-them has yet to do. Where the process is asked to end, the node that was made last is closed first.
+them has yet to do. Of nodes that end together, the one that was made last is closed first.
 
 rclpy's EventsExecutor would take a third less processor time at real time. But it queues an event
 a message, also for those that have been taken already: at full speed timers never got their turn,
@@ -47,7 +49,7 @@ from rclpy.timer import Timer
 
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages.cdr import RecordError
-from starcal_ros.nodes.base import command_line
+from starcal_ros.nodes.base import command_line, ending
 
 _LOOK_S = 0.005                 # between looks at the inputs where nothing comes
 _CALLBACKS = 4                  # of the executor, between two stretches with the inputs
@@ -191,15 +193,24 @@ def _serve(make_nodes: Sequence[Callable[[], Node]], made: list[Node]) -> None:
             executor.add_node(nodes[-1])
             made.append(nodes[-1])
         try:
-            while nodes and not stop_requested():
+            while nodes:
                 _turn(executor, nodes)
-                finished = [node for node in nodes if getattr(node, 'finished', False)]
+                finished = [node for node in nodes if _ends(node)]
                 nodes[:] = [node for node in nodes if node not in finished]
                 _end(executor, finished)
         except ExternalShutdownException:
             pass
         if _failure is not None:
             raise _failure
+
+
+def _ends(node: Node) -> bool:
+    """Tell whether a node has nothing more to do."""
+    if stop_requested():
+        ending.announce(node)
+        if getattr(node, 'drained', True):
+            return True
+    return bool(getattr(node, 'finished', False))
 
 
 def _turn(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
@@ -209,8 +220,8 @@ def _turn(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
         return
     for _ in range(_CALLBACKS):
         executor.spin_once(timeout_sec=0.0)
-    ends = time.monotonic() + SPIN_S
-    while time.monotonic() < ends and not stop_requested():
+    ends, stopped = time.monotonic() + SPIN_S, stop_requested()
+    while time.monotonic() < ends and stop_requested() is stopped:
         # Asked for anew: a callback above may have been a transition, which ends subscriptions.
         if not sum(subscription.look_again() for node in nodes for subscription in node.inputs):
             time.sleep(_LOOK_S)
