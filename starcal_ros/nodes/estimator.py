@@ -86,6 +86,7 @@ class Estimator(ManagedNode):
         if self._enabled:
             self._look_at_frame(topics.IMU, batch[0], GYRO_FRAME)
             for part in decoded(batch, cdr_imu.decode_imu, self._drop):
+                self._results.rhythm.heard(part.stamp_ns)
                 self._calibrator.add_gyro(part)
                 self._first.add_gyro(part)
             self._advance()

@@ -12,13 +12,21 @@ from starcal_ros.messages import cdr_imu, topics
 from starcal_ros.messages.conventions import CALIBRATED_FRAME, GYRO_FRAME
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.qos import message_type
+from starcal_ros.nodes.base.rhythm import Rhythm
 from starcal_ros.nodes.base.ros_messages import CONTENTS
 
 
 class Results:
-    """The publishers of the estimator, as those of a managed node."""
+    """The publishers of the estimator, as those of a managed node.
+
+    Attributes
+    ----------
+    rhythm : Rhythm
+        To be told of the readings that come.
+    """
 
     def __init__(self, node: ManagedNode) -> None:
+        self.rhythm = Rhythm(node.scenario.gyro.rate_hz)
         self._attitude = node.offer(topics.ATTITUDE)
         self._state = node.offer(topics.STATE)
         self._camera = node.offer(topics.CAMERA)
@@ -32,7 +40,8 @@ class Results:
 
     def publish_track(self, calibrator: Calibrator, track: AttitudeTrack) -> None:
         """Publish the attitude and the rate at gyro stamps."""
-        for row in cdr_imu.encode_attitudes(track, calibrator.rate_covariance, GYRO_FRAME):
+        for row in self.rhythm.spread(cdr_imu.encode_attitudes(
+                track, calibrator.rate_covariance, GYRO_FRAME)):
             self._attitude.publish(row.tobytes())
 
     def publish_frame(self, calibrator: Calibrator, frame: FrameResult) -> None:
