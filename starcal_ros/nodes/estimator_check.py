@@ -7,6 +7,7 @@ They take seconds, and so run in a thread of their own; the estimator does not w
 
 from __future__ import annotations
 
+from collections import deque
 from threading import Thread
 
 from starcal_ros.checks.check import Checked, check
@@ -16,6 +17,8 @@ from starcal_ros.measurements.samples import Frames, GyroSamples
 
 AFTER_S = (120.0, 300.0)
 """Times of frames after which all that came is checked; then it is forgotten."""
+KEPT_S = 1200.0
+"""Time of readings that is kept while the frames do not come."""
 
 
 class FirstMinutes:
@@ -29,9 +32,10 @@ class FirstMinutes:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self._gyro: list[GyroSamples] = []
-        self._frames: list[Frames] = []
-        self._count = 0
+        self._gyro: deque[GyroSamples] = deque()
+        self._frames: deque[Frames] = deque()
+        self._readings = self._count = 0        # how many are kept
+        self._most = round(KEPT_S * scenario.gyro.rate_hz)
         self._due = [round(seconds * scenario.star_tracker.rate_hz) for seconds in AFTER_S]
         self._thread: Thread | None = None
         self._result: Checked | None = None
@@ -42,6 +46,8 @@ class FirstMinutes:
         """Take readings as they arrived."""
         if self._due:
             self._gyro.append(samples)
+            self._readings += len(samples)
+            self._forget()
 
     def add_frames(self, frames: Frames) -> None:
         """Take frames as they arrived; check what came once there are enough."""
@@ -51,11 +57,22 @@ class FirstMinutes:
         self._count += len(frames)
         if self._count >= self._due[0] and not self._busy:
             self._due.pop(0)
-            messages = GyroSamples.concatenate(self._gyro), Frames.concatenate(self._frames)
+            messages = (GyroSamples.concatenate([*self._gyro]),
+                        Frames.concatenate([*self._frames]))
             self._thread = Thread(target=self._check, args=messages, daemon=True)
             self._thread.start()
             if not self._due:
-                self._gyro, self._frames = [], []
+                self._gyro.clear()
+                self._frames.clear()
+
+    def _forget(self) -> None:
+        """Forget the oldest readings where there are too many, and the frames of their time."""
+        if self._readings <= self._most:
+            return
+        while self._readings > self._most and len(self._gyro) > 1:
+            self._readings -= len(self._gyro.popleft())
+        while self._frames and self._frames[0].stamp_ns[-1] < self._gyro[0].stamp_ns[0]:
+            self._count -= len(self._frames.popleft())
 
     def take(self) -> list[Finding]:
         """Return what was found since the last call and not been told before."""

@@ -28,6 +28,22 @@ def told(first, gyro, frames):
     return found
 
 
+def test_a_gyro_that_runs_for_a_day_without_stars_does_not_fill_the_memory():
+    """Those of the last minutes are there when the stars come, as are their frames."""
+    pytest.importorskip('rclpy')
+    from starcal_ros.nodes.estimator_check import KEPT_S, FirstMinutes
+    first, tracker = FirstMinutes(SCENARIO), sensors.star_tracker(SCENARIO)
+    first.add_frames(tracker.next(100))
+    begin = tracker.next(1).stamp_ns[0]
+    for k in range(24 * 60):
+        first.add_gyro(GyroSamples(begin + (60 * k + np.arange(60)) * 10**9, np.zeros((60, 3))))
+        assert sum(map(len, first._gyro)) <= KEPT_S * SCENARIO.gyro.rate_hz
+    for _ in range(100):
+        first.add_gyro(GyroSamples(begin + 10**15 + np.arange(6000) * 10**7, np.zeros((6000, 3))))
+    assert sum(map(len, first._gyro)) <= KEPT_S * SCENARIO.gyro.rate_hz
+    assert not first._frames and first._count == 0
+
+
 def test_what_is_wrong_is_told_once_and_what_is_right_not_at_all():
     pytest.importorskip('rclpy')
     from starcal_ros.nodes.estimator_check import FirstMinutes
