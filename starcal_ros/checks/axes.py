@@ -42,7 +42,7 @@ _UNIT = 0.01            # part by which a unit may be missed
 _SCALED = 0.02          # part from which on the turns differ in size: less is a scale factor
 _LAGS_S, _LAG_STEP_S = 40.0, 0.25
 _FINE_STEPS = 25
-_MOST = 4000            # intervals that a lag is searched with
+_MOST = 2000            # intervals that a lag is searched with
 _SEEN = 30.0            # times the noise of an interval that the camera must turn, RMS
 _TOGETHER = 0.5         # part of the turns that no linear map leaves where both turn together
 _LEAST_ANGLE = np.radians(0.3)
@@ -87,17 +87,12 @@ class Coarse:
 class _Moments:
     """Least squares of Eq. (K.4) from moments: what any matrix leaves."""
 
-    def __init__(self, turns: Turns, g: Array) -> None:
-        X = np.concatenate((g, turns.dt[:, None]), axis=1)
+    def __init__(self, dt: Array, r: Array, g: Array) -> None:
         self.n = len(g)
-        dt = turns.dt
-        along = np.outer(dt, dt @ X[:, :3]) / (dt @ dt)
-        self.g = g - along
-        self.r = turns.r - np.outer(dt, dt @ turns.r) / (dt @ dt)
-        self.gg, self.rg = self.g.T @ self.g, self.r.T @ self.g
-        self.rr = float(np.sum(self.r**2))
-        self.rate_r = dt @ turns.r / (dt @ dt)
-        self.rate_g = dt @ g / (dt @ dt)
+        self.rate_r, self.rate_g = (dt @ turn / max(float(dt @ dt), 1e-300) for turn in (r, g))
+        g, r = g - dt[:, None] * self.rate_g, r - dt[:, None] * self.rate_r
+        self.gg, self.rg = g.T @ g, r.T @ g
+        self.rr = float(np.sum(r**2))
 
     def best(self) -> Array:
         """Return A of Eq. (K.4), of least norm where the motion leaves it open."""
@@ -139,19 +134,17 @@ def coarse(turns: Turns, running: Running, first_ns: int, scenario: Scenario) ->
 def _lag(turns: Turns, running: Running, first_ns: int) -> tuple[float, _Moments]:
     """Return the lag at which a linear map leaves least, 0 where that does nearly as well."""
     step = -(-len(turns) // _MOST)
-    rows = np.arange(len(turns)) % step == 0
-    some = turns.take(rows)
-    end = running.stamp_s[-1]
+    some = turns.take(np.arange(len(turns)) % step == 0)
 
-    def moments(of: Turns, lag_s: float) -> tuple[_Moments, Turns]:
-        begin_s, end_s = ((stamp - first_ns) * NS + lag_s for stamp in (of.begin_ns, of.end_ns))
-        inside = (begin_s >= 0.0) & (end_s <= end)
-        of = of.take(inside)
-        return _Moments(of, running.turned(begin_s[inside], end_s[inside])), of
+    def moments(of: Turns, lag_s: float) -> _Moments:
+        begin_s, end_s = (np.asarray((stamp - first_ns) * NS + lag_s, np.float64)
+                          for stamp in (of.begin_ns, of.end_ns))
+        g, inside = running.turned(begin_s, end_s)
+        return _Moments(of.dt[inside], of.r[inside], g)
 
     def left(lag_s: float) -> float:
-        found, of = moments(some, lag_s)
-        if len(of) < max(LEAST, 0.5 * len(some)):
+        found = moments(some, lag_s)
+        if found.n < max(LEAST, 0.5 * len(some)):
             return 1.0
         return found.left(found.best()) / max(found.rr, 1e-300)
 
@@ -161,7 +154,7 @@ def _lag(turns: Turns, running: Running, first_ns: int) -> tuple[float, _Moments
     part = [left(lag) for lag in lags]
     best = int(np.argmin(part))
     lag_s = float(lags[best]) if left(0.0) > 2.0 * part[best] else 0.0
-    return lag_s, moments(turns, lag_s)[0]
+    return lag_s, moments(turns, lag_s)
 
 
 def _apart(moments: _Moments, A: Array) -> Finding:

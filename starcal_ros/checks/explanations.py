@@ -10,7 +10,7 @@ time offset explains the same, and where two do as well, which is said, neither 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from starcal_ros.checks.likelihood import WAVES, Comparison, EffectSizes, Stated
 from starcal_ros.checks.turns import Gyro, Turns
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.units import NS
 
 PSI, BIAS = tuple(range(3)), tuple(range(3, 6))
 TIME, DRIFT = 6, 7
@@ -47,7 +48,6 @@ AMBIGUOUS = 12.0        # twice the logarithm of a likelihood ratio, about 400 t
 _KIN = {TIME_OFFSET: (CLOCK_DRIFT, TIME_STEP), CLOCK_DRIFT: (TIME_OFFSET,),
         TIME_STEP: (TIME_OFFSET,), SCALE: (GYRO_MATRIX,), GYRO_MATRIX: (SCALE,)}
 """Explanations that hold each other, and are no rivals."""
-_H_S = 1e-3             # by which stamps are moved for a derivative
 _LINEAR_ROUNDS = 4
 _TRIED = 10_000         # times at which something may step, in all
 _EVEN = STEPS // 2      # of the times, evenly spread; the others are where the turns fit least
@@ -278,28 +278,23 @@ def _linear(turns: Turns, gyro: Gyro, C_sg: Array, at: Array, rows: _Rows) -> Co
     stepped = [(turns.end_ns[row], at[_TIME_STEP + k]) for k, row in enumerate(rows.time)
                if at[_TIME_STEP + k]]
 
-    def warp(more_s: float, more_drift: float) -> Callable[[Ints], Ints]:
-        def warped(stamp: Ints) -> Ints:
-            moved = (at[TIME] + more_s) * 1e9 + (at[DRIFT] + more_drift) * (stamp - middle)
-            for since_ns, size in stepped:
-                moved = moved + 1e9 * size * (stamp >= since_ns)
-            return stamp + np.rint(moved).astype(np.int64)
-        return warped
+    def warp(stamp: Ints) -> Ints:
+        moved = at[TIME] * 1e9 + at[DRIFT] * (stamp - middle)
+        for since_ns, size in stepped:
+            moved = moved + 1e9 * size * (stamp >= since_ns)
+        return stamp + np.rint(moved).astype(np.int64)
 
-    g, J = gyro.turned(turns, warp(0.0, 0.0))
-    span = float(np.abs(turns.since).max())
-    slopes = []
-    for more in ((_H_S, 0.0), (0.0, _H_S / span)):
-        up, down = (gyro.turned(turns, warp(*(sign * part for part in more)))[0]
-                    for sign in (1.0, -1.0))
-        slopes.append((up - down) / (2.0 * max(more)) @ C_sg.T)
+    g, J = gyro.turned(turns, warp)
+    by_begin, by_end = (slope @ C_sg.T for slope in gyro.slopes(turns, warp, g))
+    begin_s, end_s = ((stamp - middle)[:, None] * NS for stamp in (turns.begin_ns, turns.end_ns))
+    by_time, by_drift = by_begin + by_end, by_begin * begin_s + by_end * end_s
     r = (g + (J @ at[list(BIAS)])) @ C_sg.T
     omega = g + (J @ at[list(BIAS)])
     bias_turn = C_sg @ J
     X = np.zeros((len(turns), 3, _WIDTH))
     X[..., PSI] = -rotation.skew(r)
     X[..., BIAS] = bias_turn
-    X[..., TIME], X[..., DRIFT] = slopes
+    X[..., TIME], X[..., DRIFT] = by_time, by_drift
     # Readings (I + M) omega: the turn is less by M times itself.
     for column, (i, j) in zip(MATRIX, ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
         M = np.zeros((3, 3))
@@ -307,23 +302,15 @@ def _linear(turns: Turns, gyro: Gyro, C_sg: Array, at: Array, rows: _Rows) -> Co
         X[..., column] = -omega @ M.T @ C_sg.T
     X[..., COMMON] = -r
     # Where the stamps drift and the readings do not, their integral is too long by as much.
-    X[..., STAMP_DRIFT] = slopes[1] - r
+    X[..., STAMP_DRIFT] = by_drift - r
     for k, row in enumerate(rows.time):
-        X[row:, :, _TIME_STEP + k] = slopes[0][row:]
-        X[row, :, _TIME_STEP + k] = _end_slope(turns, gyro, int(row), warp(0.0, 0.0)) @ C_sg.T
+        X[row:, :, _TIME_STEP + k] = by_time[row:]
+        X[row, :, _TIME_STEP + k] = by_end[row]
     for k, row in enumerate(rows.bias):
         after = slice(row, None)
         X[after, :, _BIAS_STEP + 3 * k:_BIAS_STEP + 3 * k + 3] = bias_turn[after]
     y = turns.r - r + X @ at
     return Comparison(turns, y, X, bias_turn, _PRIOR)
-
-
-def _end_slope(turns: Turns, gyro: Gyro, row: int, warp: Callable[[Ints], Ints]) -> Array:
-    """Return the derivative of g_k by the time of the second frame alone, (3,) [rad/s]."""
-    one, h_ns = turns.take(np.array([row])), round(_H_S * 1e9)
-    up, down = (gyro.turned(one, lambda stamp: warp(stamp) + sign * h_ns * (
-        stamp == one.end_ns[0]))[0][0] for sign in (1, -1))
-    return np.asarray((up - down) / (2.0 * _H_S))
 
 
 def _cost(comparison: Comparison, model: Model) -> float:

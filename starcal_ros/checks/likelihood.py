@@ -87,14 +87,16 @@ class Comparison:
         root = np.sqrt(span) * 1.0 / (order * np.pi)    # of the variance, for K = 1
         Z = (bias_turn[:, :, :, None] * (waves * root)[:, None, None]).reshape(len(y), 3, -1)
         self._W = np.concatenate((columns, Z, y[..., None]), axis=-1).reshape(3 * len(y), -1)
+        self._band = _Band(turns)
         self._whitened: dict[tuple[float, float], tuple[Array, float]] = {}
+        self._asked: set[tuple[float, float]] = set()
 
     def fit(self, chosen: Sequence[int], noise: StatedNoise) -> EffectSizes:
         """Return the most likely sizes of some of the effects."""
-        G, log_det = self._gram(noise.walk, noise.stamps)
-        p, last = self._count, len(G) - 1
+        p, last = self._count, self._W.shape[1] - 1
         rows = [*chosen, *(range(p, last) if noise.bias_walk else ())]
-        N = G[np.ix_(rows, rows)].copy()
+        G, log_det = self._gram(noise.walk, noise.stamps, [*rows, last])
+        N = G[:-1, :-1].copy()
         extra = len(rows) - len(chosen)
         N[range(len(chosen)), range(len(chosen))] += self._prior[list(chosen)]
         if extra:
@@ -106,8 +108,8 @@ class Comparison:
         size = np.sqrt(np.maximum(np.diag(N), 1e-300))
         scaled = N / np.outer(size, size) + 1e-12 * np.eye(len(rows))
         inverse = np.linalg.inv(scaled) / np.outer(size, size)
-        beta = inverse @ G[rows, last]
-        left = float(G[last, last] - G[rows, last] @ beta)
+        beta = inverse @ G[:-1, -1]
+        left = float(G[-1, -1] - G[:-1, -1] @ beta)
         m = len(chosen)
         return EffectSizes(beta[:m], inverse[:m, :m], left + log_det)
 
@@ -115,35 +117,61 @@ class Comparison:
         """Return the intervals that some effects explain least, `count` of them at most."""
         fit = self.fit(chosen, noise)
         left = self._W[:, -1] - self._W[:, list(chosen)] @ fit.beta
-        V = _band(self._turns, noise.walk, noise.stamps)[0]
+        V = self._band.of(noise.walk, noise.stamps)[0]
         misfit = np.sum((left**2 / V).reshape(-1, 3), axis=-1)
         return np.sort(np.argsort(-misfit, kind='stable')[:count]).astype(np.int64)
 
-    def _gram(self, walk: float, stamps: float) -> tuple[Array, float]:
-        """Return the products of the whitened columns, and the logarithm of |V|."""
+    def _gram(self, walk: float, stamps: float, columns: list[int]) -> tuple[Array, float]:
+        """Return the products of some of the whitened columns, and the logarithm of |V|.
+
+        A noise that is tried once has these whitened alone, one that is asked for again all.
+        """
         key = walk, stamps
         if key not in self._whitened:
+            L = cholesky_banded(self._band.of(walk, stamps), lower=True)
+            log_det = 2.0 * float(np.log(L[0]).sum())
+            if key not in self._asked:
+                self._asked.add(key)
+                W, _ = dtbtrs(L, self._W[:, columns], uplo='L')
+                return W.T @ W, log_det
             if len(self._whitened) > 64:
                 self._whitened.clear()
-            L = cholesky_banded(_band(self._turns, walk, stamps), lower=True)
             W, _ = dtbtrs(L, self._W, uplo='L')
-            self._whitened[key] = W.T @ W, 2.0 * float(np.log(L[0]).sum())
-        return self._whitened[key]
+            self._whitened[key] = W.T @ W, log_det
+        G, log_det = self._whitened[key]
+        return G[np.ix_(columns, columns)], log_det
 
 
-def _band(turns: Turns, walk: float, stamps: float) -> Array:
-    """Return V in the lower form of a band matrix, (6, 3 n)."""
+class _Band:
+    """V of Eq. (K.3) in the lower form of a band matrix, (6, 3 n), for any N and T.
+
+    Parameters
+    ----------
+    turns : Turns
+    """
+
+    def __init__(self, turns: Turns) -> None:
+        self._attitudes = _of_ends(turns, turns.R_begin, turns.R_end)
+        self._walk = np.repeat(turns.dt, 3)
+        rate = turns.r / turns.dt[:, None]
+        joined = turns.chained[1:, None]
+        w_end, w_begin = rate.copy(), rate.copy()       # of the camera at both ends
+        mean = 0.5 * (rate[1:] + rate[:-1])
+        w_end[:-1] = np.where(joined, mean, rate[:-1])
+        w_begin[1:] = np.where(joined, mean, rate[1:])
+        self._stamps = _of_ends(turns, *(w[:, :, None] * w[:, None, :] for w in (w_begin, w_end)))
+
+    def of(self, walk: float, stamps: float) -> Array:
+        """Return it for N and T."""
+        band = self._attitudes + stamps**2 * self._stamps
+        band[0] += walk**2 * self._walk
+        return band
+
+
+def _of_ends(turns: Turns, R_begin: Array, R_end: Array) -> Array:
+    """Return what covariances of the two ends of the intervals, (n, 3, 3), give V."""
     n, C = len(turns), turns.C
-    rate = turns.r / turns.dt[:, None]
-    joined = turns.chained[1:, None]
-    w_end, w_begin = rate.copy(), rate.copy()       # of the camera at both ends
-    w_end[:-1] = w_begin[1:] = 0.5 * (rate[1:] + rate[:-1])
-    w_end[:-1], w_begin[1:] = (np.where(joined, mean, own) for mean, own in (
-        (w_end[:-1], rate[:-1]), (w_begin[1:], rate[1:])))
-    R_begin, R_end = (R + stamps**2 * w[:, :, None] * w[:, None, :] for R, w in (
-        (turns.R_begin, w_begin), (turns.R_end, w_end)))
-    V = (R_end + C @ R_begin @ np.swapaxes(C, -1, -2)
-         + walk**2 * turns.dt[:, None, None] * np.eye(3))
+    V = R_end + C @ R_begin @ np.swapaxes(C, -1, -2)
     below = np.zeros((n, 3, 3))         # rows of interval k + 1, columns of k
     below[:-1] = -(C[1:] @ R_end[:-1]) * turns.chained[1:, None, None]
     full = np.concatenate((V, below), axis=1)           # (n, 6, 3): the columns of an interval

@@ -22,6 +22,7 @@ _AT_LIMIT = 0.003       # part of the readings at the largest
 _IN_A_ROW = 5
 _LEVELS = 4096          # different readings, at most, of one that is coarse
 _COARSE = 2.0           # times the noise of a reading that it may be rounded to
+_ENOUGH = 1 << 16       # readings that the levels are looked for in
 _GRID = 1e-3            # by which a level may miss a multiple of the step
 _DRIVER = 'driver of the gyro'
 
@@ -90,8 +91,8 @@ def _saturated(rate: Array, span: Array) -> Iterator[Finding]:
         for limit in (column.max(), column.min()):
             at = column == limit
             _, lengths = _runs(np.asarray(at))
-            distinct = len(np.unique(column))
-            if at.mean() > _AT_LIMIT and lengths.max() >= _IN_A_ROW and distinct > 50:
+            if (at.mean() > _AT_LIMIT and lengths.max() >= _IN_A_ROW
+                    and len(np.unique(column)) > 50):
                 told.append((axis, float(limit)))
     if told:
         listed = ', '.join(f'{axis} at {np.degrees(limit):.4g}' for axis, limit in told)
@@ -102,7 +103,7 @@ def _saturated(rate: Array, span: Array) -> Iterator[Finding]:
 def _steps(rate: Array) -> Array:
     """Return the step that all readings of an axis are multiples of, (3,); infinite for none."""
     found = np.full(3, np.inf)
-    for k, column in enumerate(rate.T):
+    for k, column in enumerate(rate[::-(-len(rate) // _ENOUGH)].T):
         levels = np.unique(column)
         if not 2 < len(levels) <= min(_LEVELS, len(column) // 8):
             continue

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -37,6 +38,8 @@ LEAST = 20
 _LONG = 3.5             # median intervals that an interval may take
 _FAR = 0.7              # largest turn from frame to frame [rad]
 _SILENT = 20.0          # median gyro intervals that are a silence: what is longer hides a turn
+_STEP_S = 0.05          # of the integral of the readings, or their period where that is longer
+_H_NS = 10**6           # about a moment, over which its rate is taken
 
 
 @dataclass(frozen=True)
@@ -97,25 +100,31 @@ def of_stars(sky: SeenSky) -> Turns:
 def covered(turns: Turns, gyro: GyroSamples, margin_s: float) -> Turns:
     """Return the intervals that readings cover without a silence, with a margin on both sides."""
     stamps, margin_ns = gyro.stamp_ns, int(margin_s * 1e9)
-    period = float(np.median(np.diff(stamps)))
-    ends = np.flatnonzero(np.diff(stamps) > _SILENT * period)
+    period, ends = float(np.median(np.diff(stamps))), _silences(stamps)
     begin_ns, end_ns = turns.begin_ns - margin_ns, turns.end_ns + margin_ns
     free = (np.searchsorted(stamps[ends + 1], begin_ns, side='right')
             == np.searchsorted(stamps[ends], end_ns, side='left'))
     return turns.take((begin_ns >= stamps[0] - period) & (end_ns <= stamps[-1]) & free)
 
 
-@dataclass(frozen=True)
+def _silences(stamp_ns: Ints) -> Ints:
+    """Return the readings that a silence follows."""
+    step = np.diff(stamp_ns)
+    return np.flatnonzero(step > _SILENT * float(np.median(step)))
+
+
 class Gyro:
     """What the gyros say of intervals, whose ends may be moved.
 
-    Attributes
+    Parameters
     ----------
     samples : GyroSamples
         With increasing stamps, in rad/s.
     """
 
-    samples: GyroSamples
+    def __init__(self, samples: GyroSamples) -> None:
+        self._samples = samples
+        self._last: tuple[Ints, preintegration.Preintegrated] | None = None
 
     def turned(self, turns: Turns, warp: Callable[[Ints], Ints]) -> tuple[Array, Array]:
         """Return g_k (n, 3) and J_k (n, 3, 3) of Eq. (K.2), the stamps moved by a function.
@@ -127,30 +136,113 @@ class Gyro:
             Returns the time on the gyro's clock that a frame's stamp stands for.
         """
         ends, cut = np.unique(np.concatenate((turns.begin_ns, turns.end_ns)), return_inverse=True)
-        period_ns = float(np.median(np.diff(self.samples.stamp_ns)))
-        pieces = preintegration.preintegrate(self.samples, warp(ends), np.zeros(3), period_ns)
+        moved = warp(ends)
+        if self._last is None or not np.array_equal(self._last[0], moved):
+            self._last = moved, preintegration.preintegrate(
+                self._samples, moved, np.zeros(3), self._period_ns)
+        pieces = self._last[1]
         at = cut[len(turns):] - 1
         g = rotation.log(pieces.Delta[at])
         return g, np.asarray(np.linalg.solve(rotation.right_jacobian(g), pieces.J[at]),
                              np.float64)
 
+    def slopes(self, turns: Turns, warp: Callable[[Ints], Ints], g: Array) -> tuple[Array, Array]:
+        """Return the derivatives of g_k by the times of both frames, (n, 3) each [rad/s].
+
+        What ends later has another piece before it, ``exp(-[w_1 dt x]) Delta``; what begins
+        later has one less behind it, ``Delta exp([w_0 dt x])``.
+
+        Parameters
+        ----------
+        turns, warp
+            As of `turned`.
+        g : (n, 3) array
+            What it has given for them.
+        """
+        J_r = rotation.right_jacobian(g)
+        begin, end = (self._rate(warp(stamp)) for stamp in (turns.begin_ns, turns.end_ns))
+        return (np.asarray(np.linalg.solve(J_r, begin[..., None])[..., 0]),
+                -np.asarray(np.linalg.solve(np.swapaxes(J_r, -1, -2), end[..., None])[..., 0]))
+
+    def _rate(self, stamp_ns: Ints) -> Array:
+        """Return the rate about some moments, (n, 3) [rad/s]."""
+        stamps, angle = self._integral
+        before, after = (np.stack([np.interp((stamp_ns - stamps[0]) + h, stamps - stamps[0], part)
+                                   for part in angle.T], axis=-1) for h in (-_H_NS, _H_NS))
+        return np.asarray((after - before) / (2.0 * _H_NS * NS))
+
+    @cached_property
+    def _period_ns(self) -> float:
+        return float(np.median(np.diff(self._samples.stamp_ns)))
+
+    @cached_property
+    def _integral(self) -> tuple[Ints, Array]:
+        stamps = self._samples.stamp_ns
+        dt = np.diff(stamps, prepend=stamps[0]) * NS
+        return stamps, np.cumsum(self._samples.rate * dt[:, None], axis=0)
+
 
 @dataclass(frozen=True)
 class Running:
-    """The integral of the readings over time, for lags of seconds: good to a thousandth."""
+    """The integral of the readings over time, for lags of seconds: good to a thousandth.
 
-    stamp_s: Array
+    Attributes
+    ----------
+    begin_s, end_s : (k,) arrays
+        Each run of readings without a silence, from the first reading on.
+    first : (k,) int64 array
+        Where each run begins in the table.
+    angle : (m, 3) array
+        The integral, a row each step of a run [rad].
+    step_s : float
+        Of the table.
+    """
+
+    begin_s: Array
+    end_s: Array
+    first: Ints
     angle: Array
+    step_s: float
 
     @classmethod
     def of(cls, samples: GyroSamples) -> Running:
         """Return that of readings with increasing stamps."""
         stamp_s = (samples.stamp_ns - samples.stamp_ns[0]) * NS
         dt = np.diff(stamp_s, prepend=stamp_s[0])
-        return cls(stamp_s, np.cumsum(-samples.rate * dt[:, None], axis=0))
+        angle = np.cumsum(-samples.rate * dt[:, None], axis=0)
+        ends = [*_silences(samples.stamp_ns).tolist(), len(stamp_s) - 1]
+        begins = [0, *(end + 1 for end in ends[:-1])]
+        step_s = max(_STEP_S, float(np.median(dt[1:])))
+        tables = []
+        for begin, end in zip(begins, ends):
+            rows = slice(begin, end + 1)
+            steps = int((stamp_s[end] - stamp_s[begin]) / step_s) + 2
+            at = stamp_s[begin] + step_s * np.arange(steps)
+            tables.append(np.stack([np.interp(at, stamp_s[rows], column[rows])
+                                    for column in angle.T], axis=-1))
+        first = np.cumsum([0, *map(len, tables)])[:-1]
+        return cls(stamp_s[begins], stamp_s[ends], first.astype(np.int64),
+                   np.concatenate(tables), step_s)
 
-    def turned(self, begin_s: Array, end_s: Array) -> Array:
-        """Return about g_k, (n, 3), of intervals in seconds from the first reading on."""
-        return np.stack([np.interp(end_s, self.stamp_s, column)
-                         - np.interp(begin_s, self.stamp_s, column)
-                         for column in self.angle.T], axis=-1)
+    def turned(self, begin_s: Array, end_s: Array) -> tuple[Array, Mask]:
+        """Return about g_k of intervals in seconds from the first reading on.
+
+        Returns
+        -------
+        g : (m, 3) array
+            Of those that one run covers.
+        inside : (n,) bool array
+            Which these are.
+        """
+        run = np.searchsorted(self.begin_s, begin_s, side='right') - 1
+        inside = (run >= 0) & (end_s <= self.end_s[run])
+        run = run[inside]
+        return (self._at(run, end_s[inside]) - self._at(run, begin_s[inside]),
+                np.asarray(inside))
+
+    def _at(self, run: Ints, at_s: Array) -> Array:
+        place = (at_s - self.begin_s[run]) / self.step_s
+        row = place.astype(np.int64)
+        part = (place - row)[:, None]
+        row += self.first[run]
+        return np.asarray((1.0 - part) * self.angle[row] + part * self.angle[row + 1])

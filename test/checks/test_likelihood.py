@@ -54,6 +54,18 @@ def test_effects_and_likelihood_are_those_of_generalised_least_squares():
                                    + np.linalg.slogdet(V)[1], rtol=1e-9)
 
 
+def test_what_is_fitted_does_not_depend_on_what_was_fitted_before():
+    rng = np.random.default_rng(5)
+    given = (turns(rng), 1e-5 * rng.standard_normal((N, 3)), rng.standard_normal((N, 3, P)),
+             np.tile(np.eye(3), (N, 1, 1)), np.full(P, np.inf))
+    asked = Comparison(*given)
+    for chosen in ([0], [1, 2], [0, 3], [2]):
+        for noise in (StatedNoise(1e-5, 0.0, 1e-4), StatedNoise(1e-5, 1e-6, 1e-4)):
+            for found, fresh in zip(asked.fit(chosen, noise),
+                                    Comparison(*given).fit(chosen, noise)):
+                np.testing.assert_allclose(found, fresh, rtol=1e-9)
+
+
 def test_a_bias_that_walks_is_a_sum_of_waves():
     rng = np.random.default_rng(4)
     of = turns(rng)
