@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 import struct
 from typing import BinaryIO
 import zlib
@@ -30,6 +31,7 @@ import zstandard
 
 from starcal_ros.core.arrays import Ints
 from starcal_ros.recording.mcap_chunk import MESSAGE_HEAD, RECORD
+from starcal_ros.recording.mcap_index import ChunkIndices
 from starcal_ros.recording.mcap_reader import MAGIC
 
 CHUNK_NS = 10**9
@@ -55,14 +57,14 @@ class McapWriter:
         self._zstd = zstandard.ZstdCompressor()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunk_indices: list[ChunkIndex] = []
+        self._chunk_indices = ChunkIndices()
         self._attachment_indices: list[AttachmentIndex] = []
         self._metadata_indices: list[MetadataIndex] = []
         self._counts: Counter[int] = Counter()
         self._records = bytearray()
         self._index: dict[int, array[int]] = {}
         self._second: int | None = None
-        self._write(MAGIC + _encode(Header(profile, library)))
+        self._write([MAGIC, _encode(Header(profile, library))])
 
     @property
     def n_bytes(self) -> int:
@@ -72,7 +74,7 @@ class McapWriter:
     @property
     def n_chunks(self) -> int:
         """Number of chunks that are written."""
-        return len(self._chunk_indices)
+        return self._chunk_indices.count
 
     @property
     def counts(self) -> Counter[int]:
@@ -82,10 +84,7 @@ class McapWriter:
     @property
     def span_ns(self) -> tuple[int, int] | None:
         """First and last log time in the chunks that are written, None without any."""
-        if not self._chunk_indices:
-            return None
-        return (min(chunk.message_start_time for chunk in self._chunk_indices),
-                max(chunk.message_end_time for chunk in self._chunk_indices))
+        return self._chunk_indices.span_ns
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Declare a type and return its id."""
@@ -105,7 +104,7 @@ class McapWriter:
         """Declare types and topics of another file, with their ids, before its chunks."""
         self._schemas += schemas
         self._channels += channels
-        self._write(b''.join(map(_encode, [*self._schemas, *self._channels])))
+        self._write(_all([*self._schemas, *self._channels]))
 
     def add_chunk(self, raw: bytes | memoryview, packed: bytes | memoryview, compression: str,
                   index: Mapping[int, NDArray[np.uint64]]) -> None:
@@ -168,14 +167,14 @@ class McapWriter:
         record = _encode(Attachment(time_ns, time_ns, name, media_type, data))
         index = AttachmentIndex(
             self._position, len(record), time_ns, time_ns, len(data), name, media_type)
-        self._write(record)
+        self._write([record])
         self._attachment_indices.append(index)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a record of texts by names; of several with one name the last one holds."""
         record = _encode(Metadata(name=name, metadata=values))
         index = MetadataIndex(offset=self._position, length=len(record), name=name)
-        self._write(record)
+        self._write([record])
         self._metadata_indices.append(index)
 
     def finish_chunk(self) -> None:
@@ -212,8 +211,8 @@ class McapWriter:
                                  len(entries)) + entries
         chunk = ChunkIndex(len(record), self._position, compression, len(packed), high,
                            len(after), offsets, low, len(raw))
-        self._write(record + after)
-        self._chunk_indices.append(chunk)
+        self._write([record, after])
+        self._chunk_indices.add(_encode(chunk), low, high)
 
     def finish(self) -> None:
         """Write the last chunk, the summary and the end of the file.
@@ -226,21 +225,22 @@ class McapWriter:
         self.finish_chunk()
         data_end = _encode(DataEnd(self._crc))
         start = self._position + len(data_end)
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [*self._schemas]), (Opcode.CHANNEL, [*self._channels]),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, [*self._chunk_indices]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indices]),
-            (Opcode.METADATA_INDEX, [*self._metadata_indices])]
-        summary, offsets = b'', b''
+        groups: list[tuple[Opcode, list[bytes] | ChunkIndices]] = [
+            (Opcode.SCHEMA, _all(self._schemas)), (Opcode.CHANNEL, _all(self._channels)),
+            (Opcode.STATISTICS, _all([self._statistics()])),
+            (Opcode.CHUNK_INDEX, self._chunk_indices),
+            (Opcode.ATTACHMENT_INDEX, _all(self._attachment_indices)),
+            (Opcode.METADATA_INDEX, _all(self._metadata_indices))]
+        offsets, end = b'', start
         for opcode, records in groups:
-            group = b''.join(_encode(record) for record in records)
-            if group:
-                offsets += _encode(SummaryOffset(opcode, start + len(summary), len(group)))
-            summary += group
-        footer = _encode(Footer(start, start + len(summary), 0))[:-4]
-        crc = zlib.crc32(summary + offsets + footer)
-        self._write(data_end + summary + offsets + footer + struct.pack('<I', crc) + MAGIC)
+            size = (records.n_bytes if isinstance(records, ChunkIndices) else
+                    sum(map(len, records)))
+            if size:
+                offsets += _encode(SummaryOffset(opcode, end, size))
+            end += size
+        footer = _encode(Footer(start, end, 0))[:-4]
+        summary = chain(*(records for _, records in groups), [offsets + footer])
+        self._write([data_end], _checked(summary), [MAGIC])
 
     def _make_room(self, log_time_ns: int) -> None:
         """Begin a new chunk where the last one is full or of another second."""
@@ -256,27 +256,42 @@ class McapWriter:
         return self._index[channel]
 
     def _statistics(self) -> Statistics:
-        chunks = self._chunk_indices
+        first_ns, last_ns = self._chunk_indices.span_ns or (0, 0)
         return Statistics(
             attachment_count=len(self._attachment_indices), channel_count=len(self._channels),
-            channel_message_counts=self._counts, chunk_count=len(chunks),
+            channel_message_counts=self._counts, chunk_count=self._chunk_indices.count,
             message_count=self._counts.total(),
-            message_end_time=max((chunk.message_end_time for chunk in chunks), default=0),
-            message_start_time=min((chunk.message_start_time for chunk in chunks), default=0),
+            message_end_time=last_ns, message_start_time=first_ns,
             metadata_count=len(self._metadata_indices), schema_count=len(self._schemas))
 
-    def _write(self, data: bytes) -> None:
-        """Write records whole, or leave the file as it was and raise OSError."""
-        rest = memoryview(data)
+    def _write(self, *groups: Iterable[bytes]) -> None:
+        """Write pieces whole, or leave the file as it was and raise OSError."""
+        position, crc = self._position, self._crc
         try:
-            while rest:
-                rest = rest[self._stream.write(rest):]
+            for piece in chain(*groups):
+                rest = memoryview(piece)
+                while rest:
+                    rest = rest[self._stream.write(rest):]
+                position += len(piece)
+                crc = zlib.crc32(piece, crc)
         except OSError:
             self._stream.truncate(self._position)
             self._stream.seek(self._position)
             raise
-        self._position += len(data)
-        self._crc = zlib.crc32(data, self._crc)
+        self._position, self._crc = position, crc
+
+
+def _checked(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Give pieces, and after them their checksum."""
+    crc = 0
+    for piece in pieces:
+        crc = zlib.crc32(piece, crc)
+        yield piece
+    yield struct.pack('<I', crc)
+
+
+def _all(records: Sequence[McapRecord]) -> list[bytes]:
+    return [*map(_encode, records)]
 
 
 def _encode(record: McapRecord) -> bytes:
