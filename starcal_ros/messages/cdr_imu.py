@@ -7,6 +7,7 @@
     sensor_msgs/Imu     sec i4 | nanosec u4 | frame_id: length u4, bytes, NUL | pad to 8 |
                         37 float64: orientation 4, its covariance 9, angular velocity 3,
                         its covariance 9, linear acceleration 3, its covariance 9
+    geometry_msgs/QuaternionStamped     the same header | pad to 8 | 4 float64
 
 The length of ``frame_id`` alone decides where the numbers stand, so that a few gathers read any
 number of messages.
@@ -86,13 +87,34 @@ def encode_attitudes(track: AttitudeTrack, rate_covariance: Array, frame_id: str
     return _bytes(rows)
 
 
-def _rows(stamp_ns: Ints, frame_id: str) -> NDArray[np.void]:
-    """Return messages of which all but the header is zero."""
+def encode_quaternions(stamp_ns: Ints, C: Array, frame_id: str) -> NDArray[np.uint8]:
+    """Encode orientations as geometry_msgs/QuaternionStamped.
+
+    Parameters
+    ----------
+    stamp_ns : (n,) int64 array
+    C : (n, 3, 3) array
+        Rotation matrices.
+    frame_id : str
+        Name of the frame that they lead to.
+
+    Returns
+    -------
+    rows : (n, size) uint8 array
+        One little-endian message a row.
+    """
+    rows = _rows(stamp_ns, frame_id, 4)
+    rows['numbers'] = rotation.to_quaternion(C)
+    return _bytes(rows)
+
+
+def _rows(stamp_ns: Ints, frame_id: str, count: int = _IMU_NUMBERS) -> NDArray[np.void]:
+    """Return messages with some numbers, of which all but the header is zero."""
     name = frame_id.encode() + b'\0'
     padded = -(-(HEADER.itemsize + len(name)) // 8) * 8 - HEADER.itemsize
     dtype = np.dtype([('encapsulation', 'u1', ENCAPSULATION), ('sec', '<i4'), ('nanosec', '<u4'),
                       ('length', '<u4'), ('name', f'S{padded}'),
-                      ('numbers', '<f8', _IMU_NUMBERS)])
+                      ('numbers', '<f8', count)])
     rows = np.zeros(len(stamp_ns), dtype)
     rows['encapsulation'][:, 1] = 1
     rows['sec'], rows['nanosec'] = np.divmod(stamp_ns, 10**9)

@@ -17,8 +17,9 @@ from starcal_ros.core.arrays import Ints
 from starcal_ros.files.output import whole
 from starcal_ros.messages import topics
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
+from starcal_ros.messages.cdr_imu import encode_quaternions
 from starcal_ros.messages.contents import Contents, Types
-from starcal_ros.messages.conventions import GYRO_FRAME, OPTICAL_FRAME
+from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
 from starcal_ros.recording.qos import LATCHED
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
 from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
@@ -100,7 +101,5 @@ def _images(stamps_ns: Ints, renderer: ImageSimulator) -> Batch:
 
 
 def _attitude(stamps_ns: Ints, truth: Truth) -> Batch:
-    type_name = topics.TRUE_ATTITUDE.type_name
-    messages = [serialize(type_name, CONTENTS.attitude(stamp_ns, C_ig)) for stamp_ns, C_ig in zip(
-        stamps_ns.tolist(), truth.motion.attitude(stamps_ns))]
-    return Batch(topics.TRUE_ATTITUDE.recorded, type_name, stamps_ns, messages)
+    return Batch(topics.TRUE_ATTITUDE.recorded, topics.TRUE_ATTITUDE.type_name, stamps_ns,
+                 encode_quaternions(stamps_ns, truth.motion.attitude(stamps_ns), INERTIAL_FRAME))

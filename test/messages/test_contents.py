@@ -17,6 +17,7 @@ from starcal_ros.core.camera_estimate import CameraEstimate  # noqa: E402
 from starcal_ros.filter.attitude_track import AttitudeTrack  # noqa: E402
 from starcal_ros.filter.calibrator import Calibrator  # noqa: E402
 from starcal_ros.messages import cdr_imu, topics  # noqa: E402
+from starcal_ros.messages.conventions import INERTIAL_FRAME  # noqa: E402
 from starcal_ros.nodes.base.qos import message_type  # noqa: E402
 from starcal_ros.nodes.base.ros_messages import CONTENTS as LIVE  # noqa: E402
 from starcal_ros.recording.writer import serialize, typestore  # noqa: E402
@@ -107,3 +108,11 @@ def test_attitudes_are_read_as_they_were_written():
 
 def test_no_attitude_is_no_message():
     assert not len(cdr_imu.encode_attitudes(AttitudeTrack.empty(), np.eye(3)))
+
+
+def test_orientations_at_once_are_the_bytes_of_one_by_one():
+    many, stamps = rotation.exp(RNG.standard_normal((4, 3))), STAMP_NS + 10**8 * np.arange(4)
+    rows = cdr_imu.encode_quaternions(stamps, many, INERTIAL_FRAME)
+    for row, stamp_ns, each in zip(rows, stamps.tolist(), many):
+        assert row.tobytes() == serialize(
+            topics.TRUE_ATTITUDE.type_name, RECORDED.attitude(stamp_ns, each))
