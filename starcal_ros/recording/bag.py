@@ -8,12 +8,14 @@ rare, and goes message by message through the `rosbags` library.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from heapq import merge
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from rosbags.interfaces import Qos
@@ -27,7 +29,8 @@ from starcal_ros.files.limits import CHUNK, LimitError
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.recording.bag_files import MCAP, BagFiles, find
 from starcal_ros.recording.mcap_chunk import ZSTD_HEAD, unpack
-from starcal_ros.recording.mcap_reader import McapFile
+from starcal_ros.recording.mcap_chunks import LATEST
+from starcal_ros.recording.mcap_reader import GROUP_BYTES, McapFile
 
 _BATCH = 10_000
 
@@ -90,6 +93,46 @@ class Bag(Protocol):
             How much of the bag has been read, 0 to 1.
         """
 
+    def in_order(self, names: Collection[str], within: Sequence[Span] | None = None,
+                 ) -> Iterator[Stretch]:
+        """Read the messages of some topics in the order of their recording.
+
+        Parameters
+        ----------
+        names : collection of str
+            The topics.
+        within : sequence of Span, optional
+            Times, in their order, without which nothing is read, but for neighbouring messages.
+        """
+
+    def span(self, name: str) -> Span | None:
+        """Return when the first and last message of a topic were recorded, if there is one."""
+
+
+class Span(NamedTuple):
+    """A time, both ends included [ns]."""
+
+    first_ns: int
+    last_ns: int
+
+
+class Stretch(NamedTuple):
+    """A part of what `Bag.in_order` reads.
+
+    Attributes
+    ----------
+    messages : list of (topic, log times, Messages)
+        In whatever order.
+    before_ns : int
+        All messages that were recorded before that have been given by now.
+    done : float
+        How much has been read, 0 to 1.
+    """
+
+    messages: list[tuple[str, Ints, Messages]]
+    before_ns: int
+    done: float
+
 
 def open_bag(path: Path) -> Bag:
     """Open one recording.
@@ -127,7 +170,7 @@ class _McapBag:
                 merged.setdefault(channel.topic, []).append(RecordedTopic(
                     channel.topic, schema.name if schema else '', channel.message_encoding,
                     _describe_yaml(channel.metadata.get('offered_qos_profiles', '')),
-                    len(part.log_times(channel.id))))
+                    part.counts[channel.id]))
         return [_merge(merged[name]) for name in sorted(merged)]
 
     def log_times(self, name: str) -> Ints:
@@ -146,6 +189,44 @@ class _McapBag:
                 yield (wanted[channel_id], log_time,
                        _unpack(messages) if self._found.by_message else messages, done)
             before += len(part.data)
+
+    def span(self, name: str) -> Span | None:
+        spans = [span for part in self._parts for channel in part.channels.values()
+                 if channel.topic == name and (span := part.span(channel.id))]
+        return Span(min(span[0] for span in spans), max(span[1] for span in spans)) if (
+            spans) else None
+
+    def in_order(self, names: Collection[str], within: Sequence[Span] | None = None,
+                 ) -> Iterator[Stretch]:
+        wanted = [{channel.id: channel.topic for channel in part.channels.values()
+                   if channel.topic in names} for part in self._parts]
+        chunk, first, last, which = np.concatenate([np.empty((4, 0), np.int64), *(
+            np.stack((*part.chunks.holding(wanted[k]), np.full(len(numbers), k)))
+            for k, part in enumerate(self._parts)
+            if len(numbers := part.chunks.holding(wanted[k])[0]))], axis=1)
+        if within is not None:
+            # Of the times that begin before a chunk ends, the last must end after it begins.
+            ends = np.array(within, np.int64).reshape(-1, 2)
+            at = np.searchsorted(ends[:, 0], last, side='right') - 1
+            needed = (at >= 0) & (ends[at, 1] >= first)
+            first, which, chunk = first[needed], which[needed], chunk[needed]
+        order = np.lexsort((chunk, which, first))
+        first, which, chunk = (each[order] for each in (first, which, chunk))
+        group: list[int] = []
+        n_bytes = 0
+        for row, (k, number) in enumerate(zip(which.tolist(), chunk.tolist())):
+            part = self._parts[k]
+            group.append(number)
+            n_bytes += part.chunks.chunk(number, []).size
+            is_last = row + 1 == len(first)
+            if not is_last and n_bytes < GROUP_BYTES and which[row + 1] == k:
+                continue
+            yield Stretch([
+                (wanted[k][channel], log_time,
+                 _unpack(messages) if self._found.by_message else messages)
+                for channel, log_time, messages in part.read_chunks(group, wanted[k])],
+                LATEST if is_last else int(first[row + 1]), (row + 1) / len(first))
+            group, n_bytes = [], 0
 
 
 class _SqliteBag:
@@ -186,6 +267,31 @@ class _SqliteBag:
                         messages = Messages.join([bytes(data) for _, _, data in batch])
                         yield (connection.topic, np.array([t for _, t, _ in batch], np.int64),
                                _unpack(messages) if self._found.by_message else messages, done)
+
+    def span(self, name: str) -> Span | None:
+        log_time = self.log_times(name)
+        return Span(int(log_time.min()), int(log_time.max())) if len(log_time) else None
+
+    def in_order(self, names: Collection[str], within: Sequence[Span] | None = None,
+                 ) -> Iterator[Stretch]:
+        with ExitStack() as stack:
+            readers = [stack.enter_context(_reader(part)) for part in self._found.parts]
+            wanted = [[each for each in reader.connections if each.topic in names]
+                      for reader in readers]
+            total, read = max(sum(each.msgcount for part in wanted for each in part), 1), 0
+            for begin, end in within or [Span(0, LATEST - 1)]:
+                rest = merge(*(reader.messages(some, begin, end + 1)
+                               for reader, some in zip(readers, wanted) if some),
+                             key=itemgetter(1))
+                while batch := list(islice(rest, _BATCH)):
+                    read += len(batch)
+                    found = []
+                    for topic in {connection.topic for connection, _, _ in batch}:
+                        own = [each for each in batch if each[0].topic == topic]
+                        messages = Messages.join([bytes(data) for _, _, data in own])
+                        found.append((topic, np.array([t for _, t, _ in own], np.int64),
+                                      _unpack(messages) if self._found.by_message else messages))
+                    yield Stretch(found, batch[-1][1], min(read / total, 1.0))
 
 
 @contextmanager

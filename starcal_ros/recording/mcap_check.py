@@ -65,7 +65,8 @@ class _Check:
     """One walk over a file."""
 
     def __init__(self, path: Path) -> None:
-        self._view = map_file(path).data
+        self._mapped = map_file(path)
+        self._view = self._mapped.data.data
         self._found = Findings()
         self._declared: dict[tuple[int, int], bytes] = {}       # by opcode and id
         self._counts: Counter[int] = Counter()

@@ -56,6 +56,8 @@ class Chunk:
         The compressed bytes.
     index : Index
         Its messages; empty where the file has no index.
+    first_ns, last_ns : int
+        Log times that it names as its least and greatest.
     """
 
     offset: int
@@ -64,16 +66,18 @@ class Chunk:
     compression: str
     packed: memoryview
     index: Index
+    first_ns: int = 0
+    last_ns: int = 0
 
     @classmethod
     def parse(cls, offset: int, content: memoryview) -> Chunk:
         """Parse the content of a chunk record; struct.error or ValueError if it is garbled."""
-        _, _, size, crc, length = _CHUNK.unpack_from(content)
+        first_ns, last_ns, size, crc, length = _CHUNK.unpack_from(content)
         position = _CHUNK.size + length
         compression = str(content[_CHUNK.size:position], 'utf-8')
         (n_packed,) = struct.unpack_from('<Q', content, position)
         packed = content[position + 8:position + 8 + n_packed]
-        return cls(offset, size, crc, compression, packed, {})
+        return cls(offset, size, crc, compression, packed, {}, first_ns, last_ns)
 
     def decompress(self) -> bytes | memoryview:
         """Return the records of the chunk; RecordError if they cannot be trusted."""

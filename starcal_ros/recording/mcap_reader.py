@@ -12,8 +12,10 @@ Behind a record that makes no sense the next chunk is looked for.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
 from io import BytesIO
+import mmap
 from pathlib import Path
 import struct
 import zlib
@@ -30,12 +32,15 @@ from starcal_ros.files.foreign import clean
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.recording import losses
 from starcal_ros.recording.mcap_chunk import NO_ENTRIES, RECORD, Chunk, locate, scan
+from starcal_ros.recording.mcap_chunks import Chunks
 
 MAGIC = b'\x89MCAP0\r\n'
 RECOVERED = 'starcal_recovered'
 """Metadata of a file that was recovered, with what was lost."""
 
-_GROUP_BYTES = 4 << 20
+GROUP_BYTES = 4 << 20
+"""What is decompressed at once."""
+_FORGET_BYTES = 32 << 20    # of the file, that are gone through before their memory is given back
 _COMPRESSIONS = (b'\4\0\0\0zstd', b'\3\0\0\0lz4')
 _BEFORE_COMPRESSION = RECORD.size + 28      # bytes of a chunk
 GARBLED = (struct.error, ValueError, McapError)
@@ -65,7 +70,7 @@ class McapFile:
         Texts by their names, by the name of the record; the last one of a name.
     header : Header or None
         Its profile and what wrote it.
-    chunks : list of Chunk
+    chunks : Chunks
         In the order of the file, with their indices.
     finished : bool
         Whether the file has its summary and its end.
@@ -79,7 +84,8 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.data = map_file(path)
+        self._mapped = map_file(path)
+        self.data = self._mapped.data
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.attached: list[Attachment] = []
@@ -87,7 +93,7 @@ class McapFile:
         self.header: Header | None = None
         self.position = self.lost_bytes = 0
         self.finished = False
-        self.chunks: list[Chunk] = []
+        self.chunks = Chunks(self.data.data)
         self._statistics: Statistics | None = None
         self._warnings: dict[str, None] = {}
         self._next_words = dict.fromkeys(_COMPRESSIONS, 0)
@@ -109,10 +115,49 @@ class McapFile:
         """What is wrong with the file, so far as it has been read."""
         return tuple(self._warnings)
 
+    @property
+    def counts(self) -> Counter[int]:
+        """Number of messages by channel."""
+        return self.chunks.counts
+
     def log_times(self, channel: int) -> Ints:
         """Return the log times of a channel in the order of the file, (n,) ns."""
-        entries = [chunk.index.get(channel, NO_ENTRIES) for chunk in self.chunks]
-        return np.concatenate([NO_ENTRIES, *entries])[:, 0].astype(np.int64)
+        return np.concatenate([np.empty(0, np.int64), *(
+            chunk.index[channel][:, 0].astype(np.int64) for chunk in self._forgetting()
+            if channel in chunk.index)])
+
+    def span(self, channel: int) -> tuple[int, int] | None:
+        """Return the least and the greatest log time of a channel [ns], None without messages."""
+        chunk, first_ns, last_ns = self.chunks.holding([channel])
+        low, high = 2**64, -1
+        # Only chunks that reach beyond what is known by now are asked.
+        for k in chunk[np.argsort(first_ns, kind='stable')].tolist():
+            if self.chunks.chunk(k, []).first_ns > low:
+                break
+            low = min(low, self._limits(k, channel)[0])
+        for k in chunk[np.argsort(-last_ns, kind='stable')].tolist():
+            if self.chunks.chunk(k, []).last_ns < high:
+                break
+            high = max(high, self._limits(k, channel)[1])
+        return (low, high) if high >= 0 else None
+
+    def _limits(self, k: int, channel: int) -> tuple[int, int]:
+        times = self.chunks.chunk(k, [channel]).index.get(channel, NO_ENTRIES)[:, 0]
+        return (int(times.min()), int(times.max())) if len(times) else (2**64, -1)
+
+    def _forgetting(self) -> Iterator[Chunk]:
+        """Yield the chunks, and give back the memory of those that were gone through."""
+        begin = 0
+        for chunk in self.chunks:
+            yield chunk
+            if chunk.offset - begin > _FORGET_BYTES:
+                begin = chunk.offset
+                self.forget()
+        self.forget()
+
+    def forget(self) -> None:
+        """Give back the memory of what was read; the file has it still."""
+        self._mapped.forget()
 
     def messages(self, channels: Collection[int],
                  ) -> Iterator[tuple[int, Ints, Messages]]:
@@ -127,49 +172,56 @@ class McapFile:
         messages : Messages
             The messages, in the order of the file.
         """
-        group: list[Chunk] = []
-        raws: list[bytes | memoryview] = []
-        for chunk in self.chunks:
-            raw = None if chunk.index.keys().isdisjoint(channels) else self._decompress(chunk)
-            if raw is not None:
-                group.append(chunk)
-                raws.append(raw)
-            if sum(map(len, raws)) >= _GROUP_BYTES:
+        group: list[int] = []
+        n_bytes = 0
+        for k, chunk in enumerate(self.chunks):
+            if not chunk.index.keys().isdisjoint(channels):
+                group.append(k)
+                n_bytes += chunk.size
+            if n_bytes >= GROUP_BYTES:
                 self.position = chunk.offset
-                yield from self._read_group(group, raws, channels)
-                group, raws = [], []
-        yield from self._read_group(group, raws, channels)
+                yield from self.read_chunks(group, channels)
+                group, n_bytes = [], 0
+        yield from self.read_chunks(group, channels)
         self.position = len(self.data)
 
-    def _read_group(self, group: list[Chunk], raws: list[bytes | memoryview],
-                    channels: Collection[int],
+    def read_chunks(self, numbers: Sequence[int], channels: Collection[int],
                     ) -> Iterator[tuple[int, Ints, Messages]]:
-        """Gather the messages of some channels from a few decompressed chunks."""
+        """Read the messages of some channels in a few chunks, as `messages` does."""
+        chunks, raws = {}, []
+        for k in numbers:
+            chunk = self.chunks.chunk(k, channels)
+            raw = self._decompress(chunk)
+            if raw is not None:
+                chunks[k] = chunk
+                raws.append(raw)
+        self.forget()
         data = np.frombuffer(raws[0] if len(raws) == 1 else b''.join(raws), np.uint8)
         edges = np.cumsum([0, *map(len, raws)])
         for channel in channels:
-            found = locate(channel, [chunk.index for chunk in group], data, edges)
+            found = locate(channel, [chunk.index for chunk in chunks.values()], data, edges)
             if found is None:
                 self._warn('the message index is wrong in or after the chunk at byte '
-                           f'{group[0].offset}: the records are scanned instead')
-                for chunk, raw in zip(group, raws):
+                           f'{next(iter(chunks.values())).offset}: the records are scanned '
+                           'instead')
+                for (k, chunk), raw in zip(chunks.items(), raws):
                     chunk.index, _ = scan(raw)
-                found = locate(channel, [chunk.index for chunk in group], data, edges)
+                    self.chunks.set_index(k, chunk.index)
+                found = locate(channel, [chunk.index for chunk in chunks.values()], data, edges)
             if found is not None and len(found[1]):
                 yield channel, *found
 
     def _walk(self) -> None:
         """Go from record to record over the file."""
         view = self.data.data
-        position, opcode, loose = len(MAGIC), 0, False
+        position, opcode, loose, begin = len(MAGIC), 0, False, 0
         while opcode != Opcode.FOOTER:
             end = position
             if position + RECORD.size <= len(view):
                 opcode, length = RECORD.unpack_from(view, position)
                 end = position + RECORD.size + length
             if not position < end <= len(view) or opcode == 0:
-                if self.chunks:
-                    self.chunks[-1].index = {}
+                self.chunks.drop_index()
                 position, opcode = self._resume(position), 0
                 if position == len(view):
                     break
@@ -180,9 +232,11 @@ class McapFile:
                 self._warn(f'the record at byte {position} is garbled and left out')
             loose |= opcode == Opcode.MESSAGE
             position = end
-        if loose:
-            records = view[len(MAGIC):]
-            self.chunks.append(Chunk(0, len(records), 0, '', records, {}))
+            if position - begin > _FORGET_BYTES:
+                begin = position
+                self.forget()
+        self.chunks.finish(view[len(MAGIC):] if loose else None)
+        self.forget()
 
     def _resume(self, position: int) -> int:
         """Return where the next chunk begins behind a record that makes no sense, or the end."""
@@ -201,11 +255,9 @@ class McapFile:
     def _take(self, opcode: int, position: int, content: memoryview) -> None:
         """Keep what one record of the file says."""
         if opcode == Opcode.CHUNK:
-            self.chunks.append(Chunk.parse(position, content))
-        elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
-            channel, length = struct.unpack_from('<HI', content)
-            entries = np.frombuffer(content[6:6 + length], '<u8').reshape(-1, 2)
-            self.chunks[-1].index[channel] = entries
+            self.chunks.add(position, content)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            self.chunks.add_index(position, content)
         elif opcode == Opcode.ATTACHMENT:
             (crc,) = struct.unpack('<I', content[-4:])
             if crc and zlib.crc32(content[:-4]) != crc:
@@ -233,12 +285,16 @@ class McapFile:
 
     def _index_all_chunks(self) -> None:
         """Scan the chunks without an index, and those that alone declare their channels."""
-        for chunk in self.chunks:
-            if chunk.index and chunk.index.keys() <= self.channels.keys():
+        for k in range(len(self.chunks)):
+            held = self.chunks.channels(k)
+            if held and held <= self.channels.keys():
                 continue
+            chunk = self.chunks[k]
             raw = self._decompress(chunk)
+            self.forget()
             if raw is not None:
-                chunk.index, others = scan(raw)
+                index, others = scan(raw)
+                self.chunks.set_index(k, index)
                 try:
                     for opcode, content in others:
                         self._declare(opcode, content)
@@ -248,7 +304,7 @@ class McapFile:
     def _compare_with_statistics(self) -> None:
         for channel, count in (self._statistics.channel_message_counts.items()
                                if self._statistics else ()):
-            held = len(self.log_times(channel))
+            held = self.counts[channel]
             if held != count and channel in self.channels:
                 self._warn(f"by the file's statistics {self.channels[channel].topic} has {count} "
                            f'messages, by its chunks {held}')
@@ -264,24 +320,44 @@ class McapFile:
         self._warnings[clean(f'{self.path.name}: {text}')] = None
 
 
-def map_file(path: Path) -> NDArray[np.uint8]:
+class MappedFile:
+    """A file mapped into memory.
+
+    Attributes
+    ----------
+    data : (n_bytes,) uint8 array
+        The file.
+    """
+
+    def __init__(self, file: mmap.mmap) -> None:
+        self._map = file
+        self.data: NDArray[np.uint8] = np.frombuffer(file, np.uint8)
+
+    def forget(self) -> None:
+        """Give the memory back of what was looked at; the file has it still."""
+        if hasattr(mmap, 'MADV_DONTNEED'):
+            self._map.madvise(mmap.MADV_DONTNEED)
+
+
+def map_file(path: Path) -> MappedFile:
     """Map an MCAP file into memory; RecordError where it can not be opened or is none."""
     try:
         if path.stat().st_size < len(MAGIC):
             raise RecordError(f'{path} is not an MCAP file: it has {path.stat().st_size} bytes')
-        data: NDArray[np.uint8] = np.memmap(path, np.uint8, 'r').view(np.ndarray)
+        with path.open('rb') as file:
+            mapped = MappedFile(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except OSError as error:
         raise RecordError(f'{path} cannot be read: {error.strerror}') from error
-    start = data[:len(MAGIC)].tobytes()
+    start = mapped.data[:len(MAGIC)].tobytes()
     if start != MAGIC:
         raise RecordError(f'{path} is not an MCAP file: it starts with {start!r}, not {MAGIC!r}')
-    return data
+    return mapped
 
 
 def _find(whole: memoryview, word: bytes, start: int) -> int:
     """Return where a word stands in a file, read a few megabytes at a time, or behind its end."""
-    for low in range(start, len(whole), _GROUP_BYTES):
-        at = whole[low:low + _GROUP_BYTES + len(word) - 1].tobytes().find(word)
+    for low in range(start, len(whole), GROUP_BYTES):
+        at = whole[low:low + GROUP_BYTES + len(word) - 1].tobytes().find(word)
         if at >= 0:
             return low + at
     return len(whole) + _BEFORE_COMPRESSION

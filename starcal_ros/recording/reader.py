@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +21,13 @@ from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_imu import decode_imu
-from starcal_ros.messages.cdr_pointcloud import decode_centroids
-from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
-from starcal_ros.recording.bag_files import refuse_ros1
-from starcal_ros.recording.topic_choice import (FRAMES, GYRO, IMAGE, TopicChoice, candidates,
-                                                choose, mean_rate_hz, notice)
+from starcal_ros.recording.bag import open_bag
+from starcal_ros.recording.recording_stream import RecordingStream
+from starcal_ros.recording.topic_choice import (FRAMES, GYRO, TopicChoice, choose, mean_rate_hz,
+                                                notice)
 
 GYRO_TOPIC, FRAMES_TOPIC = GYRO.topic, FRAMES.topic
 CONFIG_ATTACHMENT, TRUTH_ATTACHMENT = 'config.yaml', 'truth.json'
-
-_HASH_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -139,46 +135,17 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
         If the path holds no recording, a topic is missing, ambiguous or of another type, or a
         message is cut short or not what its type says.
     """
-    path = Path(path)
-    bag = open_bag(path)
-    topics = bag.topics()
-    refuse_ros1(topics, path)
-    has_gyro = choice.gyro is not None or bool(candidates(topics, GYRO))
-    try:
-        gyro_topic = choose(bag, GYRO, path, choice.gyro) if needs_gyro or has_gyro else None
-        frames_topic, decode = _frames_topic(bag, path, measure, images_first, choice)
-    except RecordError as error:        # what is missing may be what could not be read
-        raise RecordError('; '.join((str(error), *bag.warnings))) from None
-    chosen = [*([gyro_topic] if gyro_topic else []), frames_topic]
-    times: dict[str, list[Ints]] = {topic.name: [] for topic in chosen}
+    stream = RecordingStream(path, needs_gyro, measure, images_first, choice)
     gyro_parts, frames_parts = [], []
-    for name, log_time, messages, done in bag.messages(times):
-        try:
-            if name == frames_topic.name:
-                frames_parts.append(decode(messages))
-            else:
-                gyro_parts.append(decode_imu(messages))
-        except RecordError as error:
-            raise RecordError(f'{path}: {name}: {error}') from None
-        times[name].append(log_time)
+    for gyro, frames, done in stream.batches():
+        gyro_parts.append(gyro)
+        frames_parts.append(frames)
         if on_progress:
             on_progress(done)
-    gyro, frames = GyroSamples.concatenate(gyro_parts), Frames.concatenate(frames_parts)
-    read_ = (len(gyro), len(frames))[-len(chosen):]
-    found = [(GYRO, gyro_topic, choice.gyro), (
-        (IMAGE, frames_topic, choice.images) if decode is measure else
-        (FRAMES, frames_topic, choice.frames))]
-    elsewhere = [text for role, topic, given in found if topic and not given
-                 and (text := notice(topics, role, topic))]
-    untyped = [f'{topic.name} has no schema: its name is believed' for topic in chosen
-               if not topic.type]
-    lost = [f'{count} of {topic.count} messages on {topic.name} could be read'
-            for topic, count in zip(chosen, read_) if count != topic.count]
     recording = Recording(
-        gyro if gyro_topic is None else _arrange_gyro(gyro, times[gyro_topic.name]),
-        _arrange_frames(frames, times[frames_topic.name]), bag.attachments,
-        gyro_topic.name if gyro_topic else '', frames_topic.name, path, _sha256(bag),
-        (*bag.warnings, *elsewhere, *untyped, *lost), measure is not None and decode is measure)
+        GyroSamples.concatenate(gyro_parts), Frames.concatenate(frames_parts),
+        stream.attachments, stream.gyro_topic, stream.frames_topic, stream.path, stream.sha256,
+        stream.warnings, stream.measured)
     if on_progress:
         on_progress(1.0)
     return recording
@@ -228,41 +195,22 @@ def summary(path: str | Path) -> Summary:
         If the path holds no recording.
     """
     bag = open_bag(Path(path))
-    rows, spans = [], []
+    rows: list[TopicSummary] = []
+    spans: list[int] = []
     for topic in bag.topics():
-        log_time = bag.log_times(topic.name)
-        first, last = (int(log_time.min()), int(log_time.max())) if log_time.size else (None, None)
-        if first is not None and last is not None:
-            spans += [first, last]
+        span = bag.span(topic.name)
+        first, last = span or (None, None)
+        spans += span or []
         rows.append(TopicSummary(topic.name, topic.type, topic.count, first, last,
-                                 mean_rate_hz(log_time), topic.qos))
+                                 mean_rate_hz(topic.count, span), topic.qos))
     return Summary(tuple(rows), {name: len(data) for name, data in bag.attachments.items()},
                    (max(spans) - min(spans)) / 1e9 if spans else 0.0,
                    sum(file.stat().st_size for file in bag.files), bag.warnings)
 
 
-def _frames_topic(bag: Bag, path: Path, measure: Callable[[Messages], Frames] | None,
-                  images_first: bool, choice: TopicChoice
-                  ) -> tuple[RecordedTopic, Callable[[Messages], Frames]]:
-    """Find the topic of the star frames, and what makes frames of its messages."""
-    stars = candidates(bag.topics(), FRAMES)
-    images = candidates(bag.topics(), IMAGE)
-    if measure is not None and (images_first or choice.frames is None and (
-            choice.images is not None or images and (
-                not stars or images[0].name.endswith(IMAGE.topic)
-                and not stars[0].name.endswith(FRAMES.topic)))):
-        return choose(bag, IMAGE, path, choice.images), measure
-    return choose(bag, FRAMES, path, choice.frames), decode_centroids
-
-
 def _arrange_gyro(gyro: GyroSamples, times: list[Ints]) -> GyroSamples:
     order = _order(times)
     return gyro if order is None else GyroSamples(gyro.stamp_ns[order], gyro.rate[order])
-
-
-def _arrange_frames(frames: Frames, times: list[Ints]) -> Frames:
-    order = _order(times)
-    return frames if order is None else frames.take(order)
 
 
 def _order(times: list[Ints]) -> NDArray[np.intp] | None:
@@ -271,12 +219,3 @@ def _order(times: list[Ints]) -> NDArray[np.intp] | None:
     if (np.diff(log_time) >= 0).all():
         return None
     return np.argsort(log_time, kind='stable')
-
-
-def _sha256(bag: Bag) -> str:
-    digest = hashlib.sha256()
-    for file in bag.files:
-        with file.open('rb') as stream:
-            while block := stream.read(_HASH_BYTES):
-                digest.update(block)
-    return digest.hexdigest()

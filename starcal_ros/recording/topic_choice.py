@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core.arrays import Ints
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.cdr_image import IMAGE_TYPE
 from starcal_ros.messages.cdr_imu import IMU_TYPE
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE
 from starcal_ros.messages.topics import (ATTITUDE, CENTROIDS, IMAGES, IMU, RESIDUALS, SPOTS,
                                          TRUE_CENTROIDS)
-from starcal_ros.recording.bag import Bag, RecordedTopic
+from starcal_ros.recording.bag import Bag, RecordedTopic, Span
 
 _NOT_OF_SENSORS = tuple(topic.recorded for topic in (
     ATTITUDE, RESIDUALS, SPOTS, TRUE_CENTROIDS))
@@ -99,15 +98,15 @@ def notice(topics: list[RecordedTopic], role: Role, chosen: RecordedTopic) -> st
     return None
 
 
-def mean_rate_hz(log_time: Ints) -> float:
-    """Return the mean rate of messages by their log times [ns], NaN below two messages."""
-    span_ns = int(np.ptp(log_time)) if log_time.size else 0
-    return (log_time.size - 1) / span_ns * 1e9 if span_ns > 0 else np.nan
+def mean_rate_hz(count: int, span: Span | None) -> float:
+    """Return the mean rate of messages that were recorded in a time, NaN below two messages."""
+    span_ns = span.last_ns - span.first_ns if span else 0
+    return (count - 1) / span_ns * 1e9 if span_ns > 0 else np.nan
 
 
 def _listed(bag: Bag, topics: list[RecordedTopic]) -> str:
     def rate(topic: RecordedTopic) -> str:
-        value = mean_rate_hz(bag.log_times(topic.name))
+        value = mean_rate_hz(topic.count, bag.span(topic.name))
         return f', {value:.2f} Hz' if value == value else ''
     return ', '.join(f'{topic.name} ({topic.type or "unknown type"}, {topic.count} messages'
                      f'{rate(topic)})' for topic in topics)
