@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Centroids of the stars of an image, each with its covariance and what may be wrong with it.
 
-Background and noise (`background`), spots over the threshold (`detection`), the shape that the
+Light and noise (`light`), spots over the threshold (`detection`), the shape that the
 bright ones have in common, and with that shape the place of each (`psf_fit`).
 """
 
@@ -17,21 +17,22 @@ from scipy.spatial import cKDTree
 
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.imaging.background import background
 from starcal_ros.imaging.cutouts import Cutouts, Shape
 from starcal_ros.imaging.detection import Detections, find_spots
-from starcal_ros.imaging.pixels import top
+from starcal_ros.imaging.light import Light
+from starcal_ros.imaging.pixels import Scale
 from starcal_ros.imaging.psf_fit import fit
 
 Rows = Ints
 
 SATURATED, BLENDED, EDGE, ELONGATED = 1, 2, 4, 8
 """Flags of a centroid: pixels at the top of the range; another spot within reach; part of it
-outside the image; a shape that is not the frame's, such as a double star or a satellite."""
+outside the image or not known; a shape that is not the frame's, such as a double star or a
+satellite."""
 
 _CANDIDATES, _SHAPE_SPOTS, _SHAPE_ROUNDS = 100, 20, 10
 _SETTLED = 5e-3                 # of the second moments, a change that does not matter
-_LEAST_SHOT = 1e-6              # counts: a million electrons a count show no shot noise
+_LEAST_SHOT = 1e-6              # of the noise: a million electrons of it show no shot noise
 _LEAST_SHAPE_SPOTS = 3
 _NEIGHBOUR_REACH_PX = 2         # of a neighbour's light into a cutout
 _TYPICAL = Shape(0.7, np.zeros(2))       # where too few spots show one
@@ -68,46 +69,40 @@ class Centroids:
         return np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1) / 2.0)
 
 
-def extract(image: NDArray[np.generic], config: CentroidConfig) -> Centroids:
+def extract(image: NDArray[np.generic], config: CentroidConfig,
+            scale: Scale | None = None) -> Centroids:
     """Find and measure the stars of an image.
 
     Parameters
     ----------
     image : (height, width) array
-        Counts, any real type, top row first.
+        Counts, any real type, top row first; what is not finite is not known.
     config : CentroidConfig
         Threshold, gain, saturation.
+    scale : Scale, optional
+        Of the counts; by default that of the type of the image.
 
     Raises
     ------
     ValueError
-        Where the image is not a plane of 16 by 16 pixels at least, all finite.
+        As `Light.of`.
     """
-    if image.ndim != 2 or min(image.shape) < 16:
-        raise ValueError(f'image of shape {image.shape}: height and width of 16 or more expected')
-    counts = image.astype(np.float32)
-    if not np.isfinite(counts).all():
-        raise ValueError(f'image with {np.sum(~np.isfinite(counts))} pixels that are not numbers')
-    saturation = config.saturation_counts
-    if saturation is None:
-        saturation = top(image.dtype)
-    saturated = counts >= saturation
-    sky = background(counts)
-    counts -= sky.level
-    spots = find_spots(counts, sky.noise, config.threshold)
+    light = Light.of(image, config.saturation_counts, scale)
+    spots = find_spots(light.counts, light.noise, config.threshold)
     if not len(spots.flux):
         return Centroids(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0),
                          np.empty(0, np.uint8), _TYPICAL)
 
     def cutouts(row: Rows, half: int) -> tuple[Cutouts, Mask]:
-        cut = Cutouts.of(counts, saturated, sky.noise, spots.uv_raster[row], half)
-        return cut, _crowded(spots.uv_raster, half)[row]
+        return (Cutouts.of(light, spots.uv_raster[row], half),
+                _crowded(spots.uv_raster, half)[row])
 
-    shape, gain = _common_shape(cutouts, spots, config.gain_electrons)
+    electrons = config.gain_electrons and config.gain_electrons * light.unit
+    shape, gain = _common_shape(cutouts, spots, electrons)
     row = np.arange(min(len(spots.flux), config.max_spots))
     cut, crowded = cutouts(row, shape.half)
     rough = spots.take(row)
-    found = fit(cut, rough.uv_raster - cut.middle, shape, gain, config.gain_electrons is not None)
+    found = fit(cut, rough.uv_raster - cut.middle, shape, gain, electrons is not None)
     good = found.good
     elongated = np.linalg.eigvalsh(found.moments)[:, 1] > np.maximum(
         _ELONGATED_SIGMAS * found.moments_sigma,
@@ -117,12 +112,12 @@ def extract(image: NDArray[np.generic], config: CentroidConfig) -> Centroids:
     return Centroids(
         np.where(good[:, None], cut.middle + found.offset, rough.uv_raster),
         np.where(good[:, None, None], found.covariance, rough.moments + np.eye(2)),
-        np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape)
+        light.unit * np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape)
 
 
 def _common_shape(cutouts: Callable[[Rows, int], tuple[Cutouts, Mask]], spots: Detections,
                   gain: float | None) -> tuple[Shape, float]:
-    """Return the shape that most of the clear spots have, and the electrons a count."""
+    """Return the shape that most of the clear spots have, and the electrons a unit of light."""
     clear = np.argsort(-spots.significance, kind='stable')[:_CANDIDATES]
     if len(clear) < _LEAST_SHAPE_SPOTS:
         return _TYPICAL, gain or np.inf

@@ -7,11 +7,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.imaging.light import Light
 
-Image = NDArray[np.float32]
 Rows = Ints
 
 _LEAST_SIGMA, _LONGEST_TRAIL, _LARGEST_HALF = 0.3, 60.0, 32     # px
@@ -61,11 +60,12 @@ class Cutouts(NamedTuple):
     counts : (n, k, k) array
         Counts over the background, rows first.
     valid : (n, k, k) bool array
-        Pixels of the image that are not saturated.
+        Pixels of the image that are known and not saturated.
     noise : (n,) array
         Standard deviation of a pixel without stars [counts].
     saturated, cut : (n,) bool array
-        Cutouts with a saturated pixel, and those that reach out of the image.
+        Cutouts with a saturated pixel, and those that reach out of the image or into pixels of
+        which nothing is known.
     """
 
     middle: Rows
@@ -76,18 +76,18 @@ class Cutouts(NamedTuple):
     cut: Mask
 
     @classmethod
-    def of(cls, counts: Image, saturated: Mask, noise: Image,
-           uv_raster: Array, half: int) -> Cutouts:
+    def of(cls, light: Light, uv_raster: Array, half: int) -> Cutouts:
         """Cut an image about some places, `half` pixels on each side of the nearest one."""
         middle = np.rint(uv_raster).astype(np.int64)
         reach = np.arange(-half, half + 1)
         u, v = middle[:, 0, None] + reach, middle[:, 1, None] + reach
-        height, width = counts.shape
+        height, width = light.counts.shape
         inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
         at = np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]
-        full = saturated[at] & inside
-        return cls(middle, counts[at].astype(float), inside & ~full,
-                   noise[middle[:, 1], middle[:, 0]].astype(float), full.any(axis=(1, 2)),
+        full = light.saturated[at] & inside
+        inside &= ~light.unknown[at]
+        return cls(middle, light.counts[at].astype(float), inside & ~full,
+                   light.noise[middle[:, 1], middle[:, 0]].astype(float), full.any(axis=(1, 2)),
                    np.asarray((~inside).any(axis=(1, 2))))
 
     def take(self, rows: Rows) -> Cutouts:

@@ -26,7 +26,7 @@ Rows = Ints
 _SMOOTHED_NOISE = 6.0 / 16.0    # of white noise, after _smoothed
 _PART_OF_PEAK = np.float32(0.5)
 _SHARP = 0.25
-_LEAST_LIGHT = 1e-3             # counts: a pixel counts to its spot
+_LEAST_LIGHT = 1e-3             # of the noise: a pixel counts to its spot
 
 
 class Detections(NamedTuple):
@@ -60,7 +60,7 @@ def find_spots(image: Image, noise: Image, threshold: float) -> Detections:
     Parameters
     ----------
     image, noise : (height, width) float32 array
-        Counts over the background, and their standard deviation.
+        Counts over the background, and their standard deviation, in units of a typical one.
     threshold : float
         Least value of the smoothed image, in standard deviations of its noise.
     """

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from starcal_ros.files.limits import IMAGE, LimitError
 from starcal_ros.imaging import exposure_time, fits_scan
-from starcal_ros.imaging.pixels import grey, top
+from starcal_ros.imaging.pixels import Scale, grey
 
 FITS_SUFFIXES = ('.fits', '.fit', '.fts')
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', *FITS_SUFFIXES)
@@ -51,14 +51,14 @@ class Picture(NamedTuple):
     ----------
     counts : (height, width) float32 array
         Top row first.
-    saturation : float
-        Counts from which a pixel is saturated; infinite where the file does not tell.
+    scale : Scale
+        Its top is where a pixel is saturated.
     taken : datetime or None
         When, as `exposure_time` has it; None where the file does not tell.
     """
 
     counts: NDArray[np.float32]
-    saturation: float
+    scale: Scale
     taken: datetime | None = None
 
 
@@ -94,7 +94,7 @@ def load(path: str | PathLike[str]) -> Picture:
             raise ValueError('no file')         # a pipe would never end
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')     # what matters is raised
-            pixels, saturation, taken = _read_fits(path) if is_fits else _read_picture(path)
+            pixels, scale, taken = _read_fits(path) if is_fits else _read_picture(path)
     except (OSError, LimitError) as error:
         raise ImageFileError(f'{path}: {" ".join(str(error).split())}') from None
     except Exception as error:      # Pillow and astropy raise of every kind on damaged files
@@ -106,26 +106,24 @@ def load(path: str | PathLike[str]) -> Picture:
                              'grey or with colours')
     counts = pixels.astype(np.float32)
     if channels > 2:
-        counts = grey(counts[..., :3], saturation)      # without alpha
+        counts = grey(counts[..., :3], scale.top)      # without alpha
     elif pixels.ndim == 3:
         counts = counts[..., 0]
-    if not np.isfinite(counts).all():
-        raise ImageFileError(f'{path}: {np.sum(~np.isfinite(counts))} pixels are not numbers')
-    return Picture(counts, saturation, taken)
+    return Picture(counts, scale, taken)
 
 
-def _read_picture(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
+def _read_picture(path: Path) -> tuple[NDArray[Any], Scale, datetime | None]:
     with Image.open(path) as picture:
         IMAGE.check(picture.width * picture.height, 'an image')
         coded = picture.mode in ('P', 'CMYK', 'YCbCr', 'LAB', 'HSV')
         pixels = np.asarray(picture.convert('RGB') if coded else picture)
         taken = exposure_time.of_exif(picture.getexif())
         if picture.mode == 'I':             # Pillow reads 16 bits of some formats into 32
-            return pixels, 65535.0, taken
-    return pixels, top(pixels.dtype), taken
+            return pixels, Scale(65535.0, 1.0), taken
+    return pixels, Scale.of(pixels.dtype), taken
 
 
-def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
+def _read_fits(path: Path) -> tuple[NDArray[Any], Scale, datetime | None]:
     fits_scan.check(path)
     from astropy.io import fits  # here, because it takes a quarter of a second
     with fits.open(path) as units:
@@ -140,13 +138,14 @@ def _read_fits(path: Path) -> tuple[NDArray[Any], float, datetime | None]:
                 break
         else:
             raise ValueError('no image in it')
-    saturation = float(header.get('SATURATE', top(pixels.dtype)))
+    scale = Scale.of(pixels.dtype)
+    scale = Scale(float(header.get('SATURATE', scale.top)), scale.step)
     order = str(header.get('ROWORDER', 'BOTTOM-UP')).strip().upper()
     if pixels.ndim == 3:
         pixels = np.moveaxis(pixels, 0, -1)     # planes of colour
     if order != 'TOP-DOWN':
         pixels = pixels[::-1]
-    return pixels, saturation, exposure_time.of_fits(header)
+    return pixels, scale, exposure_time.of_fits(header)
 
 
 def _unpack(path: Path, index: int) -> NDArray[Any]:

@@ -343,8 +343,7 @@ def test_centroids_of_real_images_agree_with_those_of_others(name):
     distance = []
     for path in image_files(REAL_SKY / name):
         picture = load(path)
-        found = extract(picture.counts, CentroidConfig(saturation_counts=picture.saturation,
-                                                       max_spots=1000))
+        found = extract(picture.counts, CentroidConfig(max_spots=1000), picture.scale)
         uv = np.array([[row['u'], row['v']] for row in rows if row['image'] == path.name], float)
         distance.append(np.linalg.norm(found.uv_raster[:, None] - uv, axis=-1).min(axis=0))
     distance = np.concatenate(distance)

@@ -211,10 +211,9 @@ def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout:
 
 def _measure(path: Path, config: CentroidConfig) -> _Measured:
     picture = load(path)
-    if config.saturation_counts is None:
-        config = CentroidConfig(**{**vars(config), 'saturation_counts': picture.saturation})
     height, width = picture.counts.shape
-    return _Measured((height, width), extract(picture.counts, config), picture.taken)
+    return _Measured((height, width), extract(picture.counts, config, picture.scale),
+                     picture.taken)
 
 
 def _size(shapes: dict[str, tuple[int, int]], folder: str | PathLike[str]) -> tuple[int, int]:
