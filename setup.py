@@ -99,6 +99,9 @@ setup(
         'numba': ['numba>=0.56'],
         # Which star is which, lost in space.
         'identify': ['tetra3rs>=0.14,<0.15'],
+        # Pictures of phones, and raw files of cameras: starcal intrinsics.
+        'heif': ['pillow-heif>=0.16'],
+        'raw': ['rawpy>=0.21'],
         # The Allan deviation of a gyro: starcal allan.
         'allan': ['allantools>=2024.6'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.

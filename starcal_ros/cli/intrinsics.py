@@ -14,13 +14,13 @@ from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import parameters
 from starcal_ros.core.camera import INTRINSICS
-from starcal_ros.imaging.files import SUFFIXES
+from starcal_ros.imaging.files import KINDS, is_image
 
 SUMMARY = 'calibrate the camera alone'
 DESCRIPTION = ('Calibrate the camera alone, from what the stars are to each other: no attitude is '
                'needed, and with interstar and bundle no identification. From a recording it '
                'begins at the nominal camera with estimator.initial_sigma. Of a folder of images '
-               '(PNG, TIFF, JPEG, FITS) nothing need be known: their stars are measured and '
+               f'({KINDS}) nothing need be known: their stars are measured and '
                "identified (extra identify), and the result is OpenCV's f, u0, v0, k1, k2, p1, p2 "
                'with their covariance and the RMS of fitted and of held-out images. A table of '
                'identified stars (--centroids) does as well. The residuals are tested: exit '
@@ -68,23 +68,23 @@ def run(options: argparse.Namespace) -> int:
         from starcal_ros.results import result
         result.write_json(options.out, outcome)
     show_json(outcome)
-    return STATUS[outcome['verdict']]
+    return max(STATUS[each['verdict']] for each in (outcome, *outcome.get('other_cameras', ())))
 
 
 def _is_recording(path: Path) -> bool:
     """Tell a recording from a folder of images."""
-    if path.is_file() and path.suffix.lower() not in SUFFIXES:
+    if path.is_file() and not is_image(path):
         return True
     names = [file.name for file in path.iterdir()] if path.is_dir() else []
     if 'metadata.yaml' in names or any(
             name.endswith(('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.bag')) for name in names):
         return True
-    if any(Path(name).suffix.lower() in SUFFIXES for name in names):
+    if any(is_image(name) for name in names):
         return False
     what = ('is one image' if path.is_file() else
             'holds no recording and no image' if path.is_dir() else 'does not exist')
     raise ConfigError(f'{path} {what}; needs an .mcap file, a rosbag2 directory, or a folder of '
-                      f'images ({", ".join(SUFFIXES)})')
+                      f'images ({KINDS})')
 
 
 def _given(options: argparse.Namespace) -> dict[str, Any]:

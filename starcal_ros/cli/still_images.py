@@ -10,6 +10,7 @@ from typing import Any
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import stamp_ns
+from starcal_ros.results.result import CalibrationError
 from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images import pipeline
 from starcal_ros.workflows.still_images.pipeline import Conditions, Source
@@ -105,7 +106,6 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     outcome : dict
         What is written as JSON.
     """
-    from starcal_ros import report
     conditions = Conditions(options.fov, options.epoch, _site(options), options.aberration)
     source = _of_table(options, conditions) if options.centroids else _of_folder(
         options, conditions)
@@ -115,12 +115,34 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     with progress('calibrating') as on_progress:
         found, outcome = pipeline.calibrate(source, parameters=given)
         on_progress(1.0)
-    show(report.still_images(outcome, f'Camera of {source.name}, {outcome["method"]}'))
-    show('\n'.join(report.verdict_lines(outcome)))
+    _show(source, outcome, bool(source.others))
+    others = [each for other in source.others if (each := _other(other, given)) is not None]
+    if source.others:
+        outcome['other_cameras'] = others
     if options.report:
         from starcal_ros.report.still_images_page import write_still_images_page
         write_still_images_page(options.report, found, outcome, [*source.notices])
     return outcome
+
+
+def _other(source: Source, given: dict[str, Any]) -> dict[str, Any] | None:
+    """Calibrate and show another camera of the folder; None where that is not possible."""
+    for text in source.notices:
+        say(f'warning: {text}')
+    try:
+        outcome = pipeline.calibrate(source, parameters=given).outcome
+    except CalibrationError as error:
+        say(f'warning: {source.label}: {error}')
+        return None
+    _show(source, outcome, True)
+    return outcome
+
+
+def _show(source: Source, outcome: dict[str, Any], one_of_several: bool) -> None:
+    from starcal_ros import report
+    show(report.still_images(outcome, f'Camera of {source.name}, {outcome["method"]}'
+                             + (f': {source.label}' if one_of_several else '')))
+    show('\n'.join(report.verdict_lines(outcome)))
 
 
 def _of_table(options: argparse.Namespace, conditions: Conditions) -> Source:

@@ -20,6 +20,7 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.imaging.cutouts import Cutouts, Shape
 from starcal_ros.imaging.detection import Detections, find_spots
 from starcal_ros.imaging.light import Light
+from starcal_ros.imaging.picture import Picture
 from starcal_ros.imaging.pixels import Scale
 from starcal_ros.imaging.psf_fit import fit
 
@@ -54,7 +55,7 @@ class Centroids:
     flags : (n,) uint8 array
         Sums of SATURATED, BLENDED, EDGE, ELONGATED; 0 is a clean star.
     shape : Shape
-        Spot and trail that the stars have in common.
+        Spot and trail that the stars have in common, in pixels of the image that was measured.
     """
 
     uv_raster: Array
@@ -67,6 +68,15 @@ class Centroids:
     def sigma(self) -> Array:
         """Standard deviation (n,) of a place, the mean of both axes [px]."""
         return np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1) / 2.0)
+
+
+def of_picture(picture: Picture, config: CentroidConfig) -> Centroids:
+    """Find and measure the stars of a picture, in pixels of its camera; as `extract`."""
+    found, n = extract(picture.counts, config, picture.scale), picture.spacing
+    if n == 1:
+        return found
+    return Centroids(n * found.uv_raster + (n - 1) / 2.0, n**2 * found.covariance, found.flux,
+                     found.flags, found.shape)
 
 
 def extract(image: NDArray[np.generic], config: CentroidConfig,

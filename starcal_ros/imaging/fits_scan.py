@@ -20,15 +20,17 @@ from starcal_ros.files.limits import IMAGE
 _BLOCK, _CARD = 2880, 80
 _AXES = 9               # more than an image of any camera has; the standard allows 999
 _HEADER_BLOCKS = 1000
-_COLOURS = 4
 _GZIP = 31              # zlib's word for data with a head of gzip
+
+COLOURS = 4
+"""Images of the largest size that may lie on each other in a unit."""
 
 Header = dict[str, str]
 """The values of a header that are wanted, as they stand, by keyword."""
 
 
 def check(path: Path) -> None:
-    """Look at the headers of a file, up to that of its first image.
+    """Look at the headers of a file.
 
     Raises
     ------
@@ -38,8 +40,7 @@ def check(path: Path) -> None:
     size = path.stat().st_size
     with path.open('rb') as stream:
         if stream.read(6) != b'SIMPLE':
-            raise ValueError('not FITS: it does not begin with SIMPLE (a file compressed as a '
-                             'whole is to be unpacked first)')
+            raise ValueError('not FITS: it does not begin with SIMPLE')
         position = 0
         while position + _BLOCK <= size:
             stream.seek(position)
@@ -51,8 +52,7 @@ def check(path: Path) -> None:
             if axes and prod(axes) and ('TABLE' not in header.get('XTENSION', '')
                                         or header.get('ZIMAGE') == 'T'):
                 IMAGE.check(prod(axes[:2]), 'an image')
-                IMAGE.check(prod(axes) // _COLOURS, 'an image')
-                return
+                IMAGE.check(prod(axes) // COLOURS, 'an image')
             position = stream.tell() + _data_bytes(header)
 
 

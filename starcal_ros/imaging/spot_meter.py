@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from starcal_ros.config.models import detector
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera import Detector
-from starcal_ros.imaging.centroids import EDGE, ELONGATED, extract
+from starcal_ros.imaging.centroids import EDGE, ELONGATED, of_picture
+from starcal_ros.imaging.picture import Picture, Plane
+from starcal_ros.imaging.pixels import Scale
 from starcal_ros.measurements.samples import Frames
 
 LEFT_OUT = EDGE | ELONGATED
@@ -34,7 +36,8 @@ class SpotMeter:
                         / image.gain_electrons)
         self.detector: Detector = detector(scenario.camera)
 
-    def measure(self, image: NDArray[np.generic], stamp_ns: int) -> tuple[Frames, int]:
+    def measure(self, image: NDArray[np.generic], stamp_ns: int, pattern: str = ''
+                ) -> tuple[Frames, int]:
         """Return the spots of an image, brightest first, and how many more were left out.
 
         Their magnitude is by the zero point of the scenario, or off by a constant where that is
@@ -46,17 +49,20 @@ class SpotMeter:
             Counts, top row first.
         stamp_ns : int
             Middle of the exposure, UTC since the Unix epoch.
+        pattern : str
+            Of the colour filters before its pixels, one of `mosaic.PATTERNS`, or empty.
 
         Raises
         ------
         ValueError
-            Where the image is not of the camera's size, or as `centroids.extract`.
+            Where the image is not of the camera's size, or as `Light.of`.
         """
         height, width = self.detector.height, self.detector.width
         if image.shape != (height, width):
             raise ValueError(f'{image.shape[1]} x {image.shape[0]} pixels, the camera has '
                              f'{width} x {height} (camera.width, camera.height)')
-        spots = extract(image, self._config)
+        spots = of_picture(Picture.of(Plane(image, Scale.of(image.dtype), None, pattern)),
+                           self._config)
         kept = ((spots.flags & LEFT_OUT) == 0) & self.detector.contains(
             spots.uv_raster - self.detector.centre_raster)
         flux = spots.flux[kept]

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.files.limits import IMAGE, LimitError
+from starcal_ros.imaging.mosaic import PATTERNS
 from starcal_ros.imaging.pixels import grey
 from starcal_ros.messages.cdr import ENCAPSULATION, RecordError
 
@@ -31,6 +32,9 @@ _ENCODINGS = {
     **{name: ('u2', 1, (0,)) for name in ('mono16', '16UC1')},
     'rgb8': ('u1', 3, (0, 1, 2)), 'bgr8': ('u1', 3, (2, 1, 0)),
     'rgba8': ('u1', 4, (0, 1, 2)), 'bgra8': ('u1', 4, (2, 1, 0)),
+    '32FC1': ('f4', 1, (0,)),
+    **{f'bayer_{pattern.lower()}{bits}': (kind, 1, (0,)) for pattern in PATTERNS
+       for bits, kind in (('8', 'u1'), ('16', 'u2'))},
     'rgb16': ('u2', 3, (0, 1, 2)), 'bgr16': ('u2', 3, (2, 1, 0)),
 }
 
@@ -58,12 +62,15 @@ class ImageMessage(NamedTuple):
         Middle of the exposure, UTC since the Unix epoch.
     frame_id : str
     pixels : (height, width) array
-        uint8 or uint16 counts, top row first.
+        uint8, uint16 or float32 counts, top row first.
+    pattern : str
+        Of the colour filters before them, as `mosaic` has it; empty where there are none.
     """
 
     stamp_ns: int
     frame_id: str
     pixels: NDArray[np.generic]
+    pattern: str = ''
 
 
 def encode_image(stamp_ns: int, pixels: NDArray[np.uint16],
@@ -111,7 +118,8 @@ def decode_image(message: bytes) -> ImageMessage:
                                                          pixel.itemsize))
     native = pixel.newbyteorder('=')
     if channels == 1:
-        return ImageMessage(stamp_ns, frame_id, pixels[..., 0].astype(native))
+        pattern = encoding[6:10].upper() if encoding.startswith('bayer_') else ''
+        return ImageMessage(stamp_ns, frame_id, pixels[..., 0].astype(native), pattern)
     luminance = grey(pixels[..., colours].astype(np.float32), np.iinfo(native).max)
     return ImageMessage(stamp_ns, frame_id, np.rint(luminance).astype(native))
 

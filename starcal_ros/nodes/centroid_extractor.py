@@ -51,8 +51,8 @@ class CentroidExtractor(ManagedNode):
                 self.faults.add('unsuitable image', f'image dropped, unsuitable: {error}')
 
     def _measure(self, message: bytes) -> None:
-        stamp_ns, frame_id, image = decode_image(message)
-        frame, left_out = self._meter.measure(image, stamp_ns)
+        stamp_ns, frame_id, image, pattern = decode_image(message)
+        frame, left_out = self._meter.measure(image, stamp_ns, pattern)
         self._tally.newest_ns = stamp_ns
         self._tally.done.update({'images': 1, 'spots': len(frame.uv_raster),
                                  'spots left out': left_out})

@@ -28,9 +28,10 @@ def measure(scenario: Scenario) -> Callable[[Messages], Frames]:
     def frames(messages: Messages) -> Frames:
         found = []
         for start, size in zip(messages.start.tolist(), messages.size.tolist()):
-            stamp_ns, _, counts = decode_image(messages.data[start:start + size].tobytes())
+            stamp_ns, _, counts, pattern = decode_image(
+                messages.data[start:start + size].tobytes())
             try:
-                found.append(meter.measure(counts, stamp_ns)[0])
+                found.append(meter.measure(counts, stamp_ns, pattern)[0])
             except ValueError as error:
                 raise RecordError(f'image at {stamp_ns} ns: {error}') from None
         return Frames.concatenate(found)

@@ -56,13 +56,17 @@ def naxis(*axes):
     ('a.fits', cards(*naxis(8000, 8000, 100)), 'an image of 1600 megapixels'),
     ('a.fits', cards(*naxis(100, -100)), 'needs 0 or more'),
     ('a.fits', cards(*naxis(100, 100)), 'damaged'),
-    ('a.fits', gzip.compress(bytes(10**7)), 'is to be unpacked first'),
+    ('a.fits', gzip.compress(bytes(10**7)), 'not FITS: it does not begin with SIMPLE'),
+    ('a.fits.gz', gzip.compress(bytes(200_000)), 'an image, unpacked, of '),
     ('a.fits', cards('NAXIS   = 0') + b'XTENSION' + bytes(2872), 'END card'),
     ('a.fits', (b'SIMPLE  =                    T'.ljust(80) + b'COMMENT'.ljust(80) * 35) * 1
      + (b'COMMENT'.ljust(80) * 36) * 1001, 'a header of more than 1000 blocks')],
-    ids=range(14))
-def test_what_announces_too_much_is_refused_at_once(tmp_path, name, content, message):
+    ids=range(15))
+def test_what_announces_too_much_is_refused_at_once(
+        tmp_path, monkeypatch, name, content, message):
     path = tmp_path / name
+    if 'unpacked' in message:
+        monkeypatch.setenv(IMAGE.variable, '0.005')
     path.write_bytes(content)
     begin = time.perf_counter()
     with pytest.raises(ImageFileError, match=message) as caught:

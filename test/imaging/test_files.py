@@ -112,10 +112,10 @@ def test_a_damaged_image_is_named(tmp_path):
 
 
 def test_what_is_no_plane_is_named(tmp_path):
-    fits.PrimaryHDU(np.zeros((7, 20, 30), np.float32)).writeto(tmp_path / 'cube.fits')
+    fits.PrimaryHDU(np.zeros((2, 7, 20, 30), np.float32)).writeto(tmp_path / 'cube.fits')
     fits.PrimaryHDU(np.zeros(30, np.float32)).writeto(tmp_path / 'line.fits')
     fits.PrimaryHDU().writeto(tmp_path / 'empty.fits')
-    refused(tmp_path / 'cube.fits', r'pixels of shape \(20, 30, 7\)')
+    refused(tmp_path / 'cube.fits', r'pixels of shape \(2, 7, 20, 30\)')
     refused(tmp_path / 'line.fits', r'pixels of shape \(30,\)')
     refused(tmp_path / 'empty.fits', 'no image in it')
 

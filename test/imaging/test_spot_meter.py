@@ -56,6 +56,19 @@ def test_a_saturated_star_stays_and_what_is_cut_or_long_goes():
     assert miss[:, 5].min() < 0.1
 
 
+def test_spots_of_a_mosaic_are_in_pixels_of_the_camera():
+    scenario = SCENARIO.replace({'image.psf_sigma_px': 1.4})
+    meter = SpotMeter(scenario)
+    camera = Renderer(scenario.image, meter.detector, scenario.star_tracker.exposure_s,
+                      np.random.default_rng(1))
+    mosaic = camera.counts(camera.light(np.repeat(PLACES[None], 5, axis=0), MAGNITUDES)) * 1.0
+    mosaic[::2, ::2] *= 0.6
+    mosaic[1::2, 1::2] *= 0.4
+    frame, _ = meter.measure(mosaic.astype(np.uint16), STAMP_NS, 'BGGR')
+    miss = frame.uv_raster - meter.detector.centre_raster - PLACES[np.argsort(MAGNITUDES)]
+    assert (np.abs(miss) < 4.0 * frame.sigma[:, None]).all() and frame.sigma.max() < 0.2
+
+
 def test_a_dark_image_is_a_frame_without_spots():
     frame, left_out = SpotMeter(SCENARIO).measure(image(np.empty((0, 2)), []), STAMP_NS)
     assert len(frame) == 1 and not len(frame.uv_raster) and left_out == 0

@@ -69,14 +69,32 @@ def test_colour_becomes_luminance_and_is_saturated_where_a_channel_is(
     np.testing.assert_array_equal(read.pixels, [[18, full, 117]] * 4)
 
 
+@pytest.mark.parametrize('pattern', ['rggb', 'bggr', 'grbg', 'gbrg'])
+@pytest.mark.parametrize('kind', ['u1', '<u2'])
+def test_a_mosaic_is_told_with_its_colours(pattern, kind):
+    expected = (PIXELS % 256).astype(kind)
+    read = decode_image(message(padded(expected), 5,
+                                encoding=f'bayer_{pattern}{8 * np.dtype(kind).itemsize}'))
+    np.testing.assert_array_equal(read.pixels, expected)
+    assert read.pattern == pattern.upper()
+
+
+@pytest.mark.parametrize('is_bigendian', [0, 1])
+def test_floats_stay_floats(is_bigendian):
+    expected = (PIXELS / 7.0).astype('>f4' if is_bigendian else '<f4')
+    read = decode_image(message(padded(expected), 5, encoding='32FC1', is_bigendian=is_bigendian))
+    np.testing.assert_array_equal(read.pixels, expected)
+    assert read.pixels.dtype == np.float32 and read.pattern == ''
+
+
 def test_padding_of_the_last_row_may_be_missing():
     read = decode_image(message(padded(PIXELS)[:-3], 5, step=13))
     np.testing.assert_array_equal(read.pixels, PIXELS)
 
 
 @pytest.mark.parametrize('changes, kind, detail', [
-    ({'encoding': 'bayer_rggb8'}, 'unsupported encoding',
-     "'bayer_rggb8', supported are mono8, 8UC1, mono16"),
+    ({'encoding': 'yuv422'}, 'unsupported encoding',
+     "'yuv422', supported are mono8, 8UC1, mono16"),
     ({'encoding': ''}, 'unsupported encoding', "''"),
     ({'step': 9}, 'wrong step', '9 bytes a row, 5 pixels mono16 need 10'),
     ({'step': 0}, 'wrong step', '0 bytes a row'),

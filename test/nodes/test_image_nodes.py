@@ -167,7 +167,7 @@ def test_what_is_no_image_is_said_once_a_kind_and_counted(start, parameters, pee
     pixels = sensors.images(SCENARIO).image(stamp_ns)
     good = encode_image(stamp_ns, pixels, 'lens')
     for _ in range(3):
-        publisher.publish(Image(height=2, width=2, encoding='bayer_rggb8', step=2, data=bytes(4)))
+        publisher.publish(Image(height=2, width=2, encoding='yuv422', step=2, data=bytes(4)))
         publisher.publish(Image(height=1024, width=1024, encoding='mono16', step=9,
                                 data=bytes(18)))
         publisher.publish(Image(height=1024, width=1024, encoding='mono8', step=1024,
@@ -191,7 +191,7 @@ def test_what_is_no_image_is_said_once_a_kind_and_counted(start, parameters, pee
     np.testing.assert_array_equal(frame.uv_raster, measured.uv_raster)
     assert frame.stamp_ns == [stamp_ns] and b'lens\0' in spots[0] and not frame.catalog_id.any()
     for kind, count, detail in (
-            ('unsupported encoding', 3, "'bayer_rggb8', supported are"),
+            ('unsupported encoding', 3, "'yuv422', supported are"),
             ('wrong step', 3, '9 bytes a row'), ('wrong length of data', 3, '1000 bytes, 1024'),
             ('unsuitable', 3, '30 x 20 pixels, the camera has 1024 x 1024'),
             ('damaged message', 6, '')):

@@ -11,77 +11,23 @@ import shutil
 
 from PIL import Image, ImageOps
 from astropy.io import fits
+from eye import EPOCH, FOV, TRUE, Camera, save
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from instruments import REAL_SKY
 from starcal_ros.cli import main
-from starcal_ros.config.image import ImageConfig
-from starcal_ros.core import camera, rotation
-from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.identification import patterns
-from starcal_ros.messages.conventions import from_camera_info
-from starcal_ros.simulation.render import Renderer
-from starcal_ros.sky import catalog
-from starcal_ros.sky.apparent import Observer, apparent_places
-from starcal_ros.sky.refraction import Site, altitude, refracted
-from starcal_ros.workflows.still_images import (calibration, folder as star_folder, opencv_camera,
-                                                pipeline, table)
+from starcal_ros.sky.apparent import Observer
+from starcal_ros.sky.refraction import Site, altitude
+from starcal_ros.workflows.still_images import (folder as star_folder, opencv_camera, pipeline,
+                                                table)
 
 pytest.importorskip('tetra3rs')
 
-EPOCH = '2026-03-05T22:10:00'
 SITE = Site(47.0, 8.5, 500.0, 950.0, 5.0)
-PIXELS = Detector(640, 480, calibration.PITCH_MM)
-TRUE = dict(zip(opencv_camera.KEYS, (2431.0, 327.0, 231.5, -0.12, 0.4, -6e-4, 9e-4)))
-"""15 deg across."""
-FOV = '15.5'
-
-
-def intrinsics(f_px, u0_px, v0_px, k1, k2, p1, p2):
-    """Return the project's camera of OpenCV's."""
-    return from_camera_info(np.array([f_px, 0, u0_px, 0, f_px, v0_px, 0, 0, 1]),
-                            np.array([k1, k2, p1, p2, 0]), PIXELS)
-
-
-class Camera:
-    """The true camera, that makes pictures of the sky."""
-
-    def __init__(self, observer=Observer('barycentre'), site=None, seed=1):
-        self.stars, self.rng = catalog.load(8.0), np.random.default_rng(seed)
-        self.stamp_ns = unix_ns(EPOCH)
-        self.u_i = apparent_places(
-            self.stars, np.arange(len(self.stars)), [self.stamp_ns], [len(self.stars)], observer)
-        self.vacuum = self.u_i
-        if site is not None:
-            self.u_i = refracted(self.u_i, np.full(len(self.u_i), self.stamp_ns), site)
-        self.renderer = Renderer(ImageConfig(full_well_electrons=5e4), PIXELS, 0.3, self.rng)
-
-    def towards(self, direction=None):
-        """Return the counts of an image of the sky about a direction, or about any."""
-        C_si = rotation.exp(3.0 * self.rng.standard_normal(3))
-        if direction is not None:
-            axis = np.cross(C_si[2], direction)
-            angle = np.arctan2(np.linalg.norm(axis), C_si[2] @ direction)
-            C_si = C_si @ rotation.exp(angle * axis / np.linalg.norm(axis)).T
-        r_s = self.u_i @ C_si.T
-        ahead = r_s[:, 2] > 0.98
-        uv = camera.project(r_s[ahead], intrinsics(**TRUE), PIXELS.pitch_mm)
-        trail = np.repeat(uv[None], 5, axis=0)
-        return self.renderer.counts(self.renderer.light(trail, self.stars.magnitude[ahead]))
-
-
-def save(path, counts, date_obs=None):
-    """Write counts as PNG or, with a time, as FITS."""
-    if path.suffix == '.png':
-        Image.fromarray(counts).save(path)
-    else:
-        unit = fits.PrimaryHDU(counts[::-1])
-        if date_obs:
-            unit.header['DATE-OBS'] = date_obs
-        unit.writeto(path)
 
 
 def errors(result):
@@ -219,7 +165,6 @@ def test_a_site_needs_times(folder, tmp_path, capsys):
     (['nothing'], 'nothing does not exist; needs an .mcap file, a rosbag2 directory, or a folder'),
     (['empty'], 'empty holds no recording and no image'),
     (['images/a.png'], 'images/a.png is one image'),
-    (['images'], 'images of different sizes: 64 x 48 px: a.png, c.png; 80 x 48 px: b.png'),
     (['images', '--width', '64'], '--width: is for --centroids'),
     (['images', '--config', 'x.yaml'], '--config: is for a recording'),
     (['images', '--heldout', '1'], '--heldout: got 1, needs 2 or more'),
@@ -297,11 +242,11 @@ def test_a_table_of_stars_is_that_of_the_images(folder, tmp_path):
     for name in ('00.fits', '01.png'):
         shutil.copy(folder / name, tmp_path / name)
     found = star_folder.read(tmp_path, float(FOV), EPOCH)
-    star_folder.write_table(tmp_path / 's.csv', found.images, [False, True])
+    star_folder.write_table(tmp_path / 's.csv', found.cameras[0].images, [False, True])
     read = table.read_centroids(tmp_path / 's.csv', EPOCH)
     assert read.names == ('00.fits', '01.png') and read.heldout.tolist() == [False, True]
     np.testing.assert_allclose(read.frames.sigma, np.concatenate(
-        [image.sigma for image in found.images]), atol=1e-5)
+        [image.sigma for image in found.cameras[0].images]), atol=1e-5)
 
 
 def test_a_missing_library_is_named(folder, capsys, monkeypatch):

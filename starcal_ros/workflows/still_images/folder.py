@@ -6,7 +6,8 @@ An image is identified lost in space, with a camera of which the field is known 
 not be used is left out and named. Stars that are saturated, blended, cut by the edge or of another
 shape than the rest help to identify an image but not to calibrate: their places are biased.
 
-Where all images show the sky in the mirror only, rows counted from the wrong end are the likely
+A folder may hold images of several sizes or focal lengths: each is a camera of its own. Where all
+images of one show the sky in the mirror only, rows counted from the wrong end are the likely
 reason: they are flipped, top to bottom, and so is the camera that is calibrated then.
 """
 
@@ -15,9 +16,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import csv
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import timezone
 from os import PathLike
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,10 +31,9 @@ from starcal_ros.files.output import whole
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
                                                    MirroredError)
-from starcal_ros.imaging.centroids import Centroids, extract
-from starcal_ros.imaging.files import ImageFileError, image_files, load
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import Site
+from starcal_ros.workflows.still_images.measured import Measured, measure
 
 FIELD_DEG = (8.0, 40.0)
 """Fields of view across the width in which a camera of unknown field is looked for."""
@@ -42,6 +42,7 @@ FIELD_ERROR = 0.1
 
 _WIDEST_DEG = 100.0
 _LEAST_SIGMA_PX = 0.01  # what no fit of a spot knows of: uneven pixels, proper motion to the epoch
+_ZOOM = 1.03            # focal lengths that differ by more are those of two cameras
 _NAMED = 5              # files that a message names, at most
 
 
@@ -88,7 +89,7 @@ class StarImage:
 
 @dataclass(frozen=True)
 class StarImages:
-    """What a folder of images gave.
+    """The images of one camera in a folder.
 
     Attributes
     ----------
@@ -96,14 +97,11 @@ class StarImages:
         Of all of them [px].
     images : tuple of StarImage
         Those that are identified, all flipped or none, in the order of their names.
-    left_out : dict
-        The others, by name, with the reason.
     """
 
     width: int
     height: int
     images: tuple[StarImage, ...]
-    left_out: dict[str, str]
 
     @property
     def flipped(self) -> bool:
@@ -116,19 +114,28 @@ class StarImages:
         return float(np.median([image.focal_length_px for image in self.images]))
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """An image of which only the spots are kept."""
+class StarFolder(NamedTuple):
+    """What a folder of images gave.
 
-    shape: tuple[int, int]
-    centroids: Centroids
-    taken: datetime | None
+    Attributes
+    ----------
+    cameras : tuple of StarImages
+        Images of one size and focal length each; those of most images first.
+    left_out : dict
+        Images that can not be used, by name, with the reason.
+    notices : tuple of str
+        What a user should know of the files.
+    """
+
+    cameras: tuple[StarImages, ...]
+    left_out: dict[str, str]
+    notices: tuple[str, ...]
 
 
 def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | None,
          config: CentroidConfig = CentroidConfig(), observer: Observer = Observer('barycentre'),
          site: Site | None = None,
-         on_progress: Callable[[float], None] = lambda part: None) -> StarImages:
+         on_progress: Callable[[float], None] = lambda part: None) -> StarFolder:
     """Find the stars in the images of a folder.
 
     Parameters
@@ -151,49 +158,62 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     Raises
     ------
     ImageFileError, ConfigError
-        Where there is no image, or images differ in size, or the field is impossible.
+        Where there is no image, or the field is impossible.
     NoStarsError
         Where no image can be used.
     ImportError
         Where tetra3rs is missing.
     """
-    paths = image_files(folder)
-    measured: dict[str, _Measured] = {}
-    left_out: dict[str, str] = {}
-    for k, path in enumerate(paths):
-        try:
-            measured[path.name] = _measure(path, config)
-        except ImageFileError as error:
-            left_out[path.name] = str(error).removeprefix(f'{path}: ')
-        except ValueError as error:         # of the extraction
-            left_out[path.name] = str(error)
-        on_progress(0.5 * (k + 1) / len(paths))
-    if not measured:
+    field = _field(fov_deg)
+    measured = measure(folder, config, lambda part: on_progress(0.5 * part))
+    left_out = dict(measured.left_out)
+    if not measured.images:
         raise NoStarsError(f'{folder}: none of its images can be read: {_reasons(left_out)}')
-    height, width = _size({name: image.shape for name, image in measured.items()}, folder)
-    images: list[StarImage] = []
-    guess = CameraGuess.of_field(Detector(width, height, 1.0), *_field(fov_deg))
-    identifier = Identifier(guess, observer, site=site)
-    for k, (name, spots) in enumerate(measured.items()):
-        found = _identify(identifier, name, spots, epoch_utc)
-        if isinstance(found, StarImage):
-            images.append(found)
+    found: dict[tuple[int, int], list[StarImage]] = {}
+    identifiers: dict[tuple[int, int], Identifier] = {}
+    for k, image in enumerate(measured.images):
+        height, width = image.shape
+        if image.shape not in identifiers:
+            identifiers[image.shape] = Identifier(
+                CameraGuess.of_field(Detector(width, height, 1.0), *field), observer, site=site)
+        stars = _identify(identifiers[image.shape], image, epoch_utc)
+        if isinstance(stars, StarImage) and site is not None and stars.stamp_ns is None:
+            stars = 'the site needs a time, which neither the file nor the epoch tells'
+        if isinstance(stars, StarImage):
+            found.setdefault(image.shape, []).append(stars)
         else:
-            left_out[name] = found
-        on_progress(0.5 + 0.5 * (k + 1) / len(measured))
+            left_out[image.name] = stars
+        on_progress(0.5 + 0.5 * (k + 1) / len(measured.images))
+    cameras = [StarImages(width, height, _one_way(images, left_out))
+               for (height, width), those in found.items() for images in _by_focal_length(those)]
+    if not cameras:
+        looked_for = 'field of {:g} to {:g} deg looked for'.format(*field)
+        count = len(measured.images) + len(measured.left_out)
+        raise NoStarsError(f'{folder}: none of {count} images can be used ({looked_for}): '
+                           f'{_reasons(left_out)}')
+    return StarFolder(tuple(sorted(cameras, key=lambda camera: -len(camera.images))),
+                      dict(sorted(left_out.items())), tuple(measured.notices))
+
+
+def _by_focal_length(images: list[StarImage]) -> list[list[StarImage]]:
+    """Return the images of each focal length of a zoom, or of each camera."""
+    groups: list[list[StarImage]] = []
+    for image in sorted(images, key=lambda image: image.focal_length_px):
+        if not groups or image.focal_length_px > _ZOOM * groups[-1][-1].focal_length_px:
+            groups.append([])
+        groups[-1].append(image)
+    return [sorted(group, key=lambda image: image.name) for group in groups]
+
+
+def _one_way(images: list[StarImage], left_out: dict[str, str]) -> tuple[StarImage, ...]:
+    """Return the images that are flipped as most are, and name the others."""
     flipped = 2 * sum(image.mirrored for image in images) > len(images)
     for image in images:
         if image.mirrored != flipped:
             how = 'in the mirror only' if image.mirrored else 'without a mirror'
             left_out[image.name] = (f'its stars match {how}, unlike those of most images: flip '
                                     'it, top to bottom')
-    if not images:
-        looked_for = 'field of {:g} to {:g} deg looked for'.format(*_field(fov_deg))
-        raise NoStarsError(f'{folder}: none of {len(paths)} images can be used ({looked_for}): '
-                           f'{_reasons(left_out)}')
-    return StarImages(width, height,
-                      tuple(image for image in images if image.mirrored == flipped),
-                      dict(sorted(left_out.items())))
+    return tuple(image for image in images if image.mirrored == flipped)
 
 
 def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout: Sequence[bool]
@@ -207,25 +227,6 @@ def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout:
                                            image.sigma.tolist()):
                 table.writerow([image.name, f'{u:.5f}', f'{v:.5f}', star, f'{sigma:.5f}',
                                 'heldout' if held else 'fit'])
-
-
-def _measure(path: Path, config: CentroidConfig) -> _Measured:
-    picture = load(path)
-    height, width = picture.counts.shape
-    return _Measured((height, width), extract(picture.counts, config, picture.scale),
-                     picture.taken)
-
-
-def _size(shapes: dict[str, tuple[int, int]], folder: str | PathLike[str]) -> tuple[int, int]:
-    """Return the height and width of all images."""
-    names: dict[tuple[int, int], list[str]] = {}
-    for name, shape in shapes.items():
-        names.setdefault(shape, []).append(name)
-    if len(names) > 1:
-        raise ConfigError(f'{folder}: images of different sizes: ' + '; '.join(
-            f'{width} x {height} px: {_listed(those)}'
-            for (height, width), those in names.items()) + '; one size is needed')
-    return next(iter(names))
 
 
 def _reasons(left_out: dict[str, str]) -> str:
@@ -246,7 +247,7 @@ def _field(fov_deg: float | None) -> tuple[float, float]:
         fov_deg * (1.0 - FIELD_ERROR), fov_deg * (1.0 + FIELD_ERROR))
 
 
-def _identify(identifier: Identifier, name: str, image: _Measured, epoch_utc: str | None
+def _identify(identifier: Identifier, image: Measured, epoch_utc: str | None
               ) -> StarImage | str:
     """Return an image's stars, or why there are none."""
     centroids, taken = image.centroids, image.taken
@@ -273,6 +274,6 @@ def _identify(identifier: Identifier, name: str, image: _Measured, epoch_utc: st
     if use.sum() < MIN_STARS:
         return f'{use.sum()} clean stars (not saturated, blended or cut), needs {MIN_STARS}'
     sigma = np.hypot(centroids.sigma[use], _LEAST_SIGMA_PX)
-    return StarImage(name, uv[use], sigma, found.catalog_id[use], len(uv), stamp_ns,
+    return StarImage(image.name, uv[use], sigma, found.catalog_id[use], len(uv), stamp_ns,
                      taken is None or taken.tzinfo is not None, float(found.view.intrinsics[2]),
                      mirrored)

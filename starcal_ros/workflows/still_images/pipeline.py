@@ -26,6 +26,7 @@ from starcal_ros.sky.refraction import LOWEST_DEG, Site
 from starcal_ros.workflows.still_images import (atmosphere, calibration, folder as star_folder,
                                                 opencv_camera, table)
 from starcal_ros.workflows.still_images.calibration import StillImageCamera
+from starcal_ros.workflows.still_images.folder import StarImages
 from starcal_ros.workflows.still_images.table import StillImages
 
 EPOCH = '2020-01-01T00:00:00'
@@ -84,6 +85,8 @@ class Source:
         What else a user should know.
     details : dict
         What a result says of the images.
+    others : tuple of Source
+        The other cameras of the same folder.
     """
 
     name: str
@@ -95,6 +98,13 @@ class Source:
     left_out: Mapping[str, str]
     notices: tuple[str, ...]
     details: Mapping[str, Any]
+    others: tuple[Source, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The camera in a few words."""
+        return (f'{self.width} x {self.height} px, f about {self.focal_length_px:.4g} px, '
+                f'{len(self.images.names)} images')
 
     def scenario(self, method: str) -> Scenario:
         """Return what is known of the camera, for a method."""
@@ -140,33 +150,36 @@ def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions()
     ------
     ImageFileError, ConfigError, NoStarsError, ImportError
         As `folder.read`; ConfigError also where site or times can not be right.
-    CalibrationError
-        Where no image has a time and the site needs one.
     """
-    site = conditions.site
     found = star_folder.read(folder, conditions.fov_deg, conditions.epoch_utc,
                              CentroidConfig(saturation_counts=saturation_counts),
-                             Observer(conditions.velocity), site, on_progress)
-    left_out, images = dict(found.left_out), list(found.images)
-    if site is not None:
-        left_out |= {image.name: 'the site needs a time, which neither the file nor the epoch '
-                     'tells' for image in images if image.stamp_ns is None}
-        images = [image for image in images if image.stamp_ns is not None]
-    if not images:
-        name, why = next(iter(left_out.items()))
-        raise CalibrationError(f'{folder}: no image can be used; {name}: {why}')
+                             Observer(conditions.velocity), conditions.site, on_progress)
+    first, *others = [_of_camera(fspath(folder), camera, conditions, heldout_every)
+                      for camera in found.cameras]
+    if stars_csv is not None:
+        star_folder.write_table(stars_csv, found.cameras[0].images,
+                                _held(len(found.cameras[0].images), heldout_every))
+    notices = [*found.notices]
+    if others:
+        notices.append(f'{len(others) + 1} cameras, by size and focal length of the images: '
+                       + '; '.join(source.label for source in (first, *others)))
+    return replace(first, left_out=found.left_out, notices=(*notices, *first.notices),
+                   details={**first.details, 'left_out': found.left_out}, others=tuple(others))
+
+
+def _of_camera(folder: str, camera: StarImages, conditions: Conditions,
+               heldout_every: int | None) -> Source:
+    """Return the images of one camera as a source, ready to calibrate."""
+    images = camera.images
     notices = []
-    if found.flipped:
+    if camera.flipped:
         notices.append('the images show the sky in the mirror: they were flipped, top to bottom, '
                        'and v0, p1 are those of the flipped images')
     unsure = [image.name for image in images if not image.has_zone]
-    if site is not None and unsure:
+    if conditions.site is not None and unsure:
         notices.append(f'{", ".join(unsure[:_NAMED])}{" ..." * (len(unsure) > _NAMED)}: a time '
                        'without a zone or without a time of the day is taken as UTC')
-    every = heldout_every or len(images) + 1
-    heldout = [k % every == every - 1 for k in range(len(images))]
-    if stars_csv is not None:
-        star_folder.write_table(stars_csv, images, heldout)
+    heldout = _held(len(images), heldout_every)
     stars = table.assemble(
         [image.name for image in images], [image.uv_raster for image in images],
         [image.catalog_id for image in images], heldout, conditions.epoch_utc or EPOCH,
@@ -175,11 +188,17 @@ def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions()
         'images': [{'image': image.name, 'split': 'heldout' if held else 'fit',
                     'spots': image.spots, 'stars': len(image.catalog_id),
                     'utc': _utc(image.stamp_ns)} for image, held in zip(images, heldout)],
-        'left_out': left_out, 'flipped': found.flipped, 'width': found.width,
-        'height': found.height}
+        'left_out': {}, 'flipped': camera.flipped, 'width': camera.width,
+        'height': camera.height}
     return _above_horizon(Source(
-        fspath(folder), stars, found.width, found.height, found.focal_length_px, conditions,
-        left_out, tuple(notices), details))
+        folder, stars, camera.width, camera.height, camera.focal_length_px, conditions, {},
+        tuple(notices), details))
+
+
+def _held(count: int, every: int | None) -> list[bool]:
+    """Tell which images are held out: every so many-th."""
+    every = every or count + 1
+    return [k % every == every - 1 for k in range(count)]
 
 
 def of_table(stars_csv: str | PathLike[str], width: int, height: int,

@@ -1,0 +1,112 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Images that Pillow reads, and what it would cut: colours of 16 bits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+import sys
+from typing import Any
+
+from PIL import Image
+import numpy as np
+from numpy.typing import NDArray
+
+from starcal_ros.files.limits import IMAGE
+from starcal_ros.imaging import exposure_time
+from starcal_ros.imaging.picture import Plane
+from starcal_ros.imaging.pixels import Scale
+
+SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', '.bmp', '.pgm', '.ppm', '.pnm', '.webp',
+            '.avif', '.heic', '.heif')
+
+_CODED = ('P', 'CMYK', 'YCbCr', 'LAB', 'HSV')
+_FOREIGN = '16B' if sys.byteorder == 'little' else '16L'
+_OTHER_BYTE = {';16B': ';16L', ';16L': ';16B', ';16N': f';{_FOREIGN}'}
+"""How Pillow has to be told the order of bytes to get, for the upper of two, the lower one."""
+_HEIF = ('.heic', '.heif')
+
+
+def read(path: Path) -> Iterator[Plane]:
+    """Yield the image of a file; of TIFF every page of the size of the first.
+
+    Raises
+    ------
+    ImportError, ValueError, OSError
+        Where it can not be read; Pillow raises of other kinds on damaged files.
+    """
+    if path.suffix.lower() in _HEIF:
+        _learn_heif()
+    with Image.open(path) as picture:
+        IMAGE.check(picture.width * picture.height, 'an image')
+        size, pages = picture.size, getattr(picture, 'n_frames', 1)
+        for page in range(pages if picture.format == 'TIFF' else 1):
+            picture.seek(page)
+            if picture.size != size:
+                continue                    # a preview
+            pixels, scale = _pixels(path, picture, page)    # before EXIF, which loads PNG
+            yield Plane(pixels, scale, exposure_time.of_exif(picture.getexif()))
+
+
+def _pixels(path: Path, picture: Image.Image, page: int) -> tuple[NDArray[Any], Scale]:
+    raw = _raw_mode(picture)
+    if picture.format == 'PPM' and picture.mode == 'RGB' and _tiles(picture)[0][0] == 'ppm':
+        return _wide_ppm(path, picture)
+    if raw.startswith('LA;16'):
+        raise ValueError('16 bits of grey with alpha: save it without alpha')
+    if picture.mode in ('RGB', 'RGBA') and raw[-4:] in _OTHER_BYTE:
+        high = np.asarray(picture)[..., :3].astype(np.uint16)
+        with Image.open(path) as again:
+            again.seek(page)
+            setattr(again, 'tile', [tile._replace(args=_swapped(tile.args))
+                                    for tile in _tiles(again)])
+            low = np.asarray(again)[..., :3]
+        return high << 8 | low, Scale(65535.0, 1.0)
+    pixels = np.asarray(picture.convert('RGB') if picture.mode in _CODED else picture)
+    if picture.mode == 'I':                 # Pillow reads 16 bits of some formats into 32
+        return pixels, Scale(65535.0 if pixels.max(initial=0) <= 65535 else np.inf, 1.0)
+    return pixels, Scale.of(pixels.dtype)
+
+
+def _raw_mode(picture: Image.Image) -> str:
+    """Return how the file has its pixels, as Pillow calls it."""
+    tiles = _tiles(picture)
+    args = tiles[0].args if tiles else ''
+    return str(args if isinstance(args, str) else args[0] if args else '')
+
+
+def _tiles(picture: Image.Image) -> list[Any]:
+    """Return what of the file is still to be decoded, and how."""
+    return list(getattr(picture, 'tile', None) or ())
+
+
+def _swapped(args: Any) -> Any:
+    """Return the arguments of a decoder with the bytes of a colour in the other order."""
+    raw = args if isinstance(args, str) else args[0]
+    other = raw[:-4] + _OTHER_BYTE[raw[-4:]]
+    return other if isinstance(args, str) else (other, *args[1:])
+
+
+def _wide_ppm(path: Path, picture: Image.Image) -> tuple[NDArray[Any], Scale]:
+    """Read colours of PPM, which Pillow scales to 8 bits where they do not fill these."""
+    tile = _tiles(picture)[0]
+    largest = int(tile.args[-1])
+    kind = np.dtype('>u2' if largest > 255 else 'u1')
+    with path.open('rb') as stream:
+        if stream.read(2) != b'P6':
+            raise ValueError('PPM as text: save it as PNG or as binary PPM')
+        stream.seek(tile.offset)
+        data = stream.read(3 * picture.width * picture.height * kind.itemsize)
+    return (np.frombuffer(data, kind).reshape(picture.height, picture.width, 3),
+            Scale(float(largest), 1.0))
+
+
+def _learn_heif() -> None:
+    """Make Pillow read the pictures of phones."""
+    try:
+        import_module('pillow_heif').register_heif_opener()
+    except ImportError:
+        raise ImportError("to read HEIC, pillow-heif is needed: pip install 'starcal_ros[heif]' "
+                          '(or convert it to TIFF or JPEG of full size)') from None
