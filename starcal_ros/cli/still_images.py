@@ -16,7 +16,7 @@ from starcal_ros.workflows.still_images import pipeline
 from starcal_ros.workflows.still_images.pipeline import Conditions, Source
 
 _OF_TABLE = ('width', 'height')
-_OF_FOLDER = ('heldout', 'saturation', 'stars')
+_OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars')
 _OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report')
 
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'still images, in a folder or in a table', 'The default of --method is bundle.')
     images.add_argument('--fov', metavar='DEG', type=float,
                         help='field of view across the width, for IMAGES to 10 %%; default: found '
-                        'from the stars (IMAGES: 8 to 40 deg)')
+                        'from the file (EXIF, FITS), or from the stars (1.5 to 100 deg)')
     images.add_argument('--epoch', metavar='TIME',
                         help='when they were taken, ISO 8601, UTC, where the file of an image '
                         'does not say it (DATE-OBS of FITS, EXIF); default: 2020, for the proper '
@@ -48,6 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     folder.add_argument('--saturation', metavar='COUNTS', type=float,
                         help='counts from which a pixel is saturated; default: SATURATE of FITS, '
                         'else the top of the type of the file')
+    folder.add_argument('--mask', metavar='IMAGE',
+                        help='image of the same size, black where nothing is to be looked for: '
+                        'trees, a horizon, text')
     folder.add_argument('--stars', metavar='STARS.csv',
                         help='write the stars that were found, for --centroids')
     table = parser.add_argument_group('--centroids, a table of identified stars')
@@ -157,7 +160,7 @@ def _of_folder(options: argparse.Namespace, conditions: Conditions) -> Source:
     with progress('reading') as on_progress:
         try:
             return pipeline.of_folder(options.source, conditions, options.heldout,
-                                      options.saturation, options.stars, on_progress)
+                                      options.saturation, options.stars, options.mask, on_progress)
         except ImportError as error:
             raise ConfigError(str(error)) from None
 

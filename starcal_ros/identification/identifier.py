@@ -76,6 +76,12 @@ class Identification:
         """Attitude (3, 3) of the star tracker, ``r_s = C_si r_i``."""
         return self.view.C_si
 
+    def among(self, rows: Ints, total: int) -> Identification:
+        """Return it for all spots of a frame of which it has but some rows."""
+        catalog_id = np.zeros(total, np.int64)
+        catalog_id[rows] = self.catalog_id
+        return Identification(catalog_id, self.view, self.rms_px, self.tracked)
+
 
 class Identifier:
     """Identifies the stars of frames of one camera.

@@ -23,6 +23,8 @@ from starcal_ros.core.camera import Detector
 from starcal_ros.sky import catalog
 
 _STEP = 1.5             # fields of one database are whole powers of it, from one to the next
+_NARROW = 3             # power of it from which on databases are dense
+_DENSE, _SPARSE = (25, 100), (6, 40)    # lattice oversampling, patterns a field of the lattice
 _STAR = np.dtype([('number', '<i8'), ('ra_deg', '<f8'), ('dec_deg', '<f8'), ('magnitude', '<f4'),
                   ('pm_ra', '<f4'), ('pm_dec', '<f4')])
 _MAX_PATTERNS = 200_000  # tried before giving up: some 0.2 s
@@ -125,6 +127,8 @@ def database(low: int, high: int, limiting_magnitude: float) -> Any:
     except ImportError:
         raise ImportError('to identify stars, tetra3rs is needed: '
                           "pip install 'starcal_ros[identify]'") from None
+    # The sky has so many narrow fields that dense patterns of all take minutes.
+    oversampling, patterns = _DENSE if low >= _NARROW else _SPARSE
     stars = catalog.load(limiting_magnitude)
     table = np.zeros(len(stars), _STAR)
     table['number'], table['magnitude'] = stars.hip, stars.magnitude
@@ -135,5 +139,5 @@ def database(low: int, high: int, limiting_magnitude: float) -> Any:
                          + np.array(len(table), '<u8').tobytes() + table.tobytes())
         return tetra3rs.SolverDatabase.generate_from_gaia(
             str(path), max_fov_deg=_STEP**high, min_fov_deg=_STEP**low,
-            epoch_proper_motion_year=None, lattice_field_oversampling=25,
-            patterns_per_lattice_field=100)
+            epoch_proper_motion_year=None, lattice_field_oversampling=oversampling,
+            patterns_per_lattice_field=patterns)

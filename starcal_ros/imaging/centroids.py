@@ -23,6 +23,7 @@ from starcal_ros.imaging.light import Light
 from starcal_ros.imaging.picture import Picture
 from starcal_ros.imaging.pixels import Scale
 from starcal_ros.imaging.psf_fit import fit
+from starcal_ros.imaging.spread import best, clear_of_crowds
 
 Rows = Ints
 
@@ -42,7 +43,7 @@ _ELONGATED_SIGMAS, _ELONGATED_PART = 5.0, 1.0
 
 @dataclass(frozen=True)
 class Centroids:
-    """The stars of an image, brightest first.
+    """The stars of an image, brightest first, of no part of it a crowd.
 
     Attributes
     ----------
@@ -108,8 +109,14 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
                 _crowded(spots.uv_raster, half)[row])
 
     electrons = config.gain_electrons and config.gain_electrons * light.unit
-    shape, gain = _common_shape(cutouts, spots, electrons)
-    row = np.arange(min(len(spots.flux), config.max_spots))
+    # More spots than are wanted may be a crowd of something else than stars.
+    many, size = len(spots.flux) > config.max_spots, light.counts.shape
+    shape, gain = _common_shape(
+        cutouts, spots, clear_of_crowds(spots.uv_raster, spots.significance, size) if many
+        else np.argsort(-spots.significance, kind='stable')[:_CANDIDATES],
+        _CANDIDATES if many else _SHAPE_SPOTS, electrons)
+    row = (best(spots.uv_raster, spots.flux, size, config.max_spots) if many
+           else np.arange(len(spots.flux)))
     cut, crowded = cutouts(row, shape.half)
     rough = spots.take(row)
     found = fit(cut, rough.uv_raster - cut.middle, shape, gain, electrons is not None)
@@ -126,16 +133,18 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
 
 
 def _common_shape(cutouts: Callable[[Rows, int], tuple[Cutouts, Mask]], spots: Detections,
-                  gain: float | None) -> tuple[Shape, float]:
-    """Return the shape that most of the clear spots have, and the electrons a unit of light."""
-    clear = np.argsort(-spots.significance, kind='stable')[:_CANDIDATES]
+                  clear: Rows, most: int, gain: float | None) -> tuple[Shape, float]:
+    """Return the shape that most of some spots have, and the electrons a unit of light.
+
+    That is of the first `most` of the rows `clear` that are clean.
+    """
     if len(clear) < _LEAST_SHAPE_SPOTS:
         return _TYPICAL, gain or np.inf
     place, measured_gain = spots.uv_raster.copy(), np.inf
     shape = Shape.of_moments(np.median(spots.moments[clear], axis=0))
     for _ in range(_SHAPE_ROUNDS):
         cut, crowded = cutouts(clear, shape.half)
-        clean = np.flatnonzero(~(cut.saturated | cut.cut | crowded))[:_SHAPE_SPOTS]
+        clean = np.flatnonzero(~(cut.saturated | cut.cut | crowded))[:most]
         cut, row = cut.take(clean), clear[clean]
         if len(row) < _LEAST_SHAPE_SPOTS:
             break

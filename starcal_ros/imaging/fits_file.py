@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.files.limits import IMAGE
-from starcal_ros.imaging import exposure_time, fits_scan, mosaic
+from starcal_ros.imaging import exposure_time, fits_scan, focal_hint, mosaic
 from starcal_ros.imaging.picture import Plane
 from starcal_ros.imaging.pixels import Scale
 
@@ -71,8 +71,10 @@ def read(path: Path) -> Iterator[Plane]:
     scale = Scale(float(header.get('SATURATE', scale.top)), scale.step)
     top_down = str(header.get('ROWORDER', '')).strip().upper() == 'TOP-DOWN'
     taken, pattern = exposure_time.of_fits(header), _pattern(header)
+    focal_px = focal_hint.of_fits(header, pixels.shape[-1])
     for plane in _planes(pixels):
-        yield Plane(plane if top_down else plane[::-1], scale, taken, pattern, note)
+        yield Plane(plane if top_down else plane[::-1], scale, taken, pattern, note,
+                    focal_px)
 
 
 def _planes(pixels: NDArray[Any]) -> Iterator[NDArray[Any]]:

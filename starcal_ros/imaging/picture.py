@@ -29,6 +29,8 @@ class Plane(NamedTuple):
         Colours of a mosaic, as `mosaic` has them; empty where there is none.
     note : str
         What a user should know of how the file was taken; mostly empty.
+    focal_px : float or None
+        Focal length that the file tells, as `focal_hint` has it [px].
     """
 
     pixels: NDArray[Any]
@@ -36,6 +38,7 @@ class Plane(NamedTuple):
     taken: datetime | None = None
     pattern: str = ''
     note: str = ''
+    focal_px: float | None = None
 
 
 class Picture(NamedTuple):
@@ -54,6 +57,8 @@ class Picture(NamedTuple):
         were taken together.
     note : str
         What a user should know of how the file was taken; mostly empty.
+    focal_px : float or None
+        Focal length that the file tells [px].
     """
 
     counts: NDArray[np.float32]
@@ -61,6 +66,7 @@ class Picture(NamedTuple):
     taken: datetime | None = None
     spacing: int = 1
     note: str = ''
+    focal_px: float | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -92,5 +98,6 @@ class Picture(NamedTuple):
             half = None if scale.step is None else scale.step / 2.0
             return cls(mosaic.green(counts, plane.pattern, scale.top), Scale(scale.top, half),
                        plane.taken, mosaic.SPACING, ', '.join(filter(None, (
-                           plane.note, f'the green pixels of {plane.pattern} are measured'))))
-        return cls(counts, scale, plane.taken, note=plane.note)
+                           plane.note, f'the green pixels of {plane.pattern} are measured'))),
+                       plane.focal_px)
+        return cls(counts, scale, plane.taken, note=plane.note, focal_px=plane.focal_px)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.files.limits import IMAGE
-from starcal_ros.imaging import exposure_time
+from starcal_ros.imaging import exposure_time, focal_hint
 from starcal_ros.imaging.picture import Plane
 from starcal_ros.imaging.pixels import Scale
 
@@ -47,7 +47,9 @@ def read(path: Path) -> Iterator[Plane]:
             if picture.size != size:
                 continue                    # a preview
             pixels, scale = _pixels(path, picture, page)    # before EXIF, which loads PNG
-            yield Plane(pixels, scale, exposure_time.of_exif(picture.getexif()))
+            exif = picture.getexif()
+            yield Plane(pixels, scale, exposure_time.of_exif(exif),
+                        focal_px=focal_hint.of_exif(exif, *size))
 
 
 def _pixels(path: Path, picture: Image.Image, page: int) -> tuple[NDArray[Any], Scale]:

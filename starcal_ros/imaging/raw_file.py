@@ -14,7 +14,7 @@ from PIL import Image
 import numpy as np
 
 from starcal_ros.files.limits import IMAGE
-from starcal_ros.imaging import exposure_time
+from starcal_ros.imaging import exposure_time, focal_hint
 from starcal_ros.imaging.mosaic import PATTERNS
 from starcal_ros.imaging.picture import Plane
 from starcal_ros.imaging.pixels import Scale
@@ -48,11 +48,13 @@ def read(path: Path) -> Iterator[Plane]:
             if pattern not in PATTERNS or raw.raw_pattern.shape != (2, 2):
                 raise ValueError(f'colour filters {pattern} of {raw.raw_pattern.shape}, those of '
                                  'Bayer are read: convert it to 16-bit TIFF')
-        yield Plane(pixels, Scale(float(raw.white_level), 1.0), _taken(path), pattern)
+        taken, focal_px = _told(path, pixels.shape[1], pixels.shape[0])
+        yield Plane(pixels, Scale(float(raw.white_level), 1.0), taken, pattern, focal_px=focal_px)
 
 
-def _taken(path: Path) -> datetime | None:
-    """Return when it was taken; most raw files are TIFF outside."""
+def _told(path: Path, width: int, height: int) -> tuple[datetime | None, float | None]:
+    """Return when it was taken, and the focal length; most raw files are TIFF outside."""
     with suppress(Exception), Image.open(path) as picture:
-        return exposure_time.of_exif(picture.getexif())
-    return None
+        exif = picture.getexif()
+        return exposure_time.of_exif(exif), focal_hint.of_exif(exif, width, height)
+    return None, None

@@ -33,7 +33,8 @@ def intrinsics(f_px, u0_px, v0_px, k1, k2, p1, p2):
 class Camera:
     """The true camera, that makes pictures of the sky."""
 
-    def __init__(self, observer=Observer('barycentre'), site=None, seed=1, true=TRUE, **config):
+    def __init__(self, observer=Observer('barycentre'), site=None, seed=1, true=TRUE,
+                 least_cosine=0.98, **config):
         self.stars, self.rng = catalog.load(8.0), np.random.default_rng(seed)
         self.stamp_ns = unix_ns(EPOCH)
         self.u_i = apparent_places(
@@ -41,7 +42,7 @@ class Camera:
         self.vacuum = self.u_i
         if site is not None:
             self.u_i = refracted(self.u_i, np.full(len(self.u_i), self.stamp_ns), site)
-        self.intrinsics = intrinsics(**true)
+        self.intrinsics, self.least_cosine = intrinsics(**true), least_cosine
         self.renderer = Renderer(ImageConfig(full_well_electrons=5e4, **config), PIXELS, 0.3,
                                  self.rng)
 
@@ -57,7 +58,7 @@ class Camera:
             angle = np.arctan2(np.linalg.norm(axis), C_si[2] @ direction)
             C_si = C_si @ rotation.exp(angle * axis / np.linalg.norm(axis)).T
         r_s = self.u_i @ C_si.T
-        ahead = r_s[:, 2] > 0.98
+        ahead = r_s[:, 2] > self.least_cosine
         uv = camera.project(r_s[ahead], self.intrinsics, PIXELS.pitch_mm)
         return uv, self.stars.magnitude[ahead]
 

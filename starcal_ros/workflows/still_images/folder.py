@@ -16,75 +16,25 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import csv
 from dataclasses import dataclass
-from datetime import timezone
 from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from starcal_ros.config.image import CentroidConfig
-from starcal_ros.config.parameter import ConfigError
-from starcal_ros.core.arrays import Array, Ints
-from starcal_ros.core.camera import Detector
-from starcal_ros.core.utc import unix_ns
 from starcal_ros.files.output import whole
-from starcal_ros.identification.camera_guess import CameraGuess
-from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
-                                                   MirroredError)
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import Site
-from starcal_ros.workflows.still_images.measured import Measured, measure
+from starcal_ros.workflows.still_images.measured import measure
+from starcal_ros.workflows.still_images.search import StarImage, StarSearch
 
-FIELD_DEG = (8.0, 40.0)
-"""Fields of view across the width in which a camera of unknown field is looked for."""
-FIELD_ERROR = 0.1
-"""Part of itself by which a stated field of view may be wrong."""
-
-_WIDEST_DEG = 100.0
-_LEAST_SIGMA_PX = 0.01  # what no fit of a spot knows of: uneven pixels, proper motion to the epoch
 _ZOOM = 1.03            # focal lengths that differ by more are those of two cameras
 _NAMED = 5              # files that a message names, at most
 
 
 class NoStarsError(ValueError):
     """No image can be used."""
-
-
-@dataclass(frozen=True)
-class StarImage:
-    """One image and its stars.
-
-    Attributes
-    ----------
-    name : str
-        File.
-    uv_raster : (n, 2) array
-        Clean centroids of identified stars [px].
-    sigma : (n,) array
-        Of them, each axis; right but for a factor [px].
-    catalog_id : (n,) int64 array
-        Hipparcos numbers.
-    spots : int
-        All spots that were found.
-    stamp_ns : int or None
-        When it was taken, UTC since the Unix epoch; None where the file does not say.
-    has_zone : bool
-        Whether the file says that the time is UTC, or by how much it is not.
-    focal_length_px : float
-        That fits it.
-    mirrored : bool
-        Flipped to be identified.
-    """
-
-    name: str
-    uv_raster: Array
-    sigma: Array
-    catalog_id: Ints
-    spots: int
-    stamp_ns: int | None
-    has_zone: bool
-    focal_length_px: float
-    mirrored: bool
 
 
 @dataclass(frozen=True)
@@ -134,7 +84,7 @@ class StarFolder(NamedTuple):
 
 def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | None,
          config: CentroidConfig = CentroidConfig(), observer: Observer = Observer('barycentre'),
-         site: Site | None = None,
+         site: Site | None = None, mask: NDArray[np.bool_] | None = None,
          on_progress: Callable[[float], None] = lambda part: None) -> StarFolder:
     """Find the stars in the images of a folder.
 
@@ -143,7 +93,7 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     folder : path
         With images as `imaging.files` reads them.
     fov_deg : float or None
-        Field of view across the width, to FIELD_ERROR; None for any of FIELD_DEG.
+        Field of view across the width, as `search` has it; None where it is not known.
     epoch_utc : str or None
         Time of images that do not tell it themselves, ISO 8601.
     config : CentroidConfig
@@ -152,6 +102,8 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
         Who looks, for images whose time is known.
     site : Site, optional
         Where they were taken, for the same.
+    mask : (height, width) bool array, optional
+        Pixels that are looked at.
     on_progress : callable
         Called with the part done, 0 to 1.
 
@@ -164,32 +116,25 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     ImportError
         Where tetra3rs is missing.
     """
-    field = _field(fov_deg)
-    measured = measure(folder, config, lambda part: on_progress(0.5 * part))
+    search = StarSearch(fov_deg, epoch_utc, observer, site)
+    measured = measure(folder, config, mask, lambda part: on_progress(0.5 * part))
     left_out = dict(measured.left_out)
     if not measured.images:
         raise NoStarsError(f'{folder}: none of its images can be read: {_reasons(left_out)}')
     found: dict[tuple[int, int], list[StarImage]] = {}
-    identifiers: dict[tuple[int, int], Identifier] = {}
-    for k, image in enumerate(measured.images):
-        height, width = image.shape
-        if image.shape not in identifiers:
-            identifiers[image.shape] = Identifier(
-                CameraGuess.of_field(Detector(width, height, 1.0), *field), observer, site=site)
-        stars = _identify(identifiers[image.shape], image, epoch_utc)
-        if isinstance(stars, StarImage) and site is not None and stars.stamp_ns is None:
-            stars = 'the site needs a time, which neither the file nor the epoch tells'
-        if isinstance(stars, StarImage):
-            found.setdefault(image.shape, []).append(stars)
+    shapes = {image.name: image.shape for image in measured.images}
+    for stars in search.images(measured.images, lambda part: on_progress(0.5 + 0.5 * part)):
+        if site is not None and stars.stamp_ns is None:
+            left_out[stars.name] = ('the site needs a time, which neither the file nor the epoch '
+                                    'tells')
         else:
-            left_out[image.name] = stars
-        on_progress(0.5 + 0.5 * (k + 1) / len(measured.images))
+            found.setdefault(shapes[stars.name], []).append(stars)
+    left_out |= search.left_out
     cameras = [StarImages(width, height, _one_way(images, left_out))
                for (height, width), those in found.items() for images in _by_focal_length(those)]
     if not cameras:
-        looked_for = 'field of {:g} to {:g} deg looked for'.format(*field)
         count = len(measured.images) + len(measured.left_out)
-        raise NoStarsError(f'{folder}: none of {count} images can be used ({looked_for}): '
+        raise NoStarsError(f'{folder}: none of {count} images can be used ({search.looked_for}): '
                            f'{_reasons(left_out)}')
     return StarFolder(tuple(sorted(cameras, key=lambda camera: -len(camera.images))),
                       dict(sorted(left_out.items())), tuple(measured.notices))
@@ -236,44 +181,3 @@ def _reasons(left_out: dict[str, str]) -> str:
 def _listed(texts: list[str], between: str = ', ') -> str:
     more = len(texts) - _NAMED
     return between.join(texts[:_NAMED]) + (f'{between}and {more} more' if more > 0 else '')
-
-
-def _field(fov_deg: float | None) -> tuple[float, float]:
-    """Return between which fields of view the camera is looked for [deg]."""
-    if fov_deg is not None and not 0.0 < fov_deg <= _WIDEST_DEG:
-        raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
-                          f'{_WIDEST_DEG:g}')
-    return FIELD_DEG if fov_deg is None else (
-        fov_deg * (1.0 - FIELD_ERROR), fov_deg * (1.0 + FIELD_ERROR))
-
-
-def _identify(identifier: Identifier, image: Measured, epoch_utc: str | None
-              ) -> StarImage | str:
-    """Return an image's stars, or why there are none."""
-    centroids, taken = image.centroids, image.taken
-    stamp_ns = None if epoch_utc is None else unix_ns(epoch_utc)
-    if taken is not None:
-        zoned = taken if taken.tzinfo else taken.replace(tzinfo=timezone.utc)
-        stamp_ns = unix_ns(zoned.isoformat())
-    uv, mirrored = centroids.uv_raster, False
-
-    def search() -> Identification | None:
-        return identifier.lost_in_space(uv, centroids.flux, stamp_ns, centroids.sigma)
-
-    try:
-        found = search()
-    except MirroredError:
-        uv, mirrored = uv * [1.0, -1.0] + [0.0, image.shape[0] - 1.0], True
-        try:
-            found = search()
-        except MirroredError:
-            found = None
-    if found is None:
-        return f'not identified: {len(uv)} spots match no stars'
-    use = (found.catalog_id != 0) & (centroids.flags == 0)
-    if use.sum() < MIN_STARS:
-        return f'{use.sum()} clean stars (not saturated, blended or cut), needs {MIN_STARS}'
-    sigma = np.hypot(centroids.sigma[use], _LEAST_SIGMA_PX)
-    return StarImage(image.name, uv[use], sigma, found.catalog_id[use], len(uv), stamp_ns,
-                     taken is None or taken.tzinfo is not None, float(found.view.intrinsics[2]),
-                     mirrored)

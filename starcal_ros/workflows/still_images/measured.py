@@ -10,9 +10,13 @@ from datetime import datetime
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.imaging.centroids import Centroids, of_picture
-from starcal_ros.imaging.files import ImageFileError, image_files, pictures
+from starcal_ros.imaging.files import ImageFileError, image_files, load, pictures
+from starcal_ros.imaging.picture import Picture
 
 
 @dataclass(frozen=True)
@@ -29,12 +33,15 @@ class Measured:
         In pixels of the camera.
     taken : datetime or None
         When.
+    focal_px : float or None
+        Focal length that the file tells [px].
     """
 
     name: str
     shape: tuple[int, int]
     centroids: Centroids
     taken: datetime | None
+    focal_px: float | None
 
 
 @dataclass(frozen=True)
@@ -56,7 +63,7 @@ class MeasuredFolder:
     notices: list[str] = field(default_factory=list)
 
 
-def measure(folder: str | PathLike[str], config: CentroidConfig,
+def measure(folder: str | PathLike[str], config: CentroidConfig, mask: NDArray[np.bool_] | None,
             on_progress: Callable[[float], None]) -> MeasuredFolder:
     """Find the spots in the images of a folder.
 
@@ -66,6 +73,8 @@ def measure(folder: str | PathLike[str], config: CentroidConfig,
         With images as `imaging.files` reads them.
     config : CentroidConfig
         How spots are measured.
+    mask : (height, width) bool array, optional
+        Pixels of the camera that are looked at.
     on_progress : callable
         Called with the part done, 0 to 1.
 
@@ -77,20 +86,46 @@ def measure(folder: str | PathLike[str], config: CentroidConfig,
     found = MeasuredFolder()
     paths = image_files(folder)
     for k, path in enumerate(paths):
-        _measure_file(path, config, found)
+        _measure_file(path, config, mask, found)
         on_progress((k + 1) / len(paths))
     return found
 
 
-def _measure_file(path: Path, config: CentroidConfig, found: MeasuredFolder) -> None:
+def read_mask(path: str | PathLike[str]) -> NDArray[np.bool_]:
+    """Return the pixels that are looked at: those that are not black in an image.
+
+    Raises
+    ------
+    ImageFileError
+        Where it is no image.
+    """
+    return np.asarray(load(path).counts > 0.0)
+
+
+def _masked(picture: Picture, mask: NDArray[np.bool_] | None) -> Picture:
+    """Return a picture of which nothing is known where a mask is black."""
+    if mask is None:
+        return picture
+    if mask.shape != picture.shape:
+        raise ValueError(f'the mask has {mask.shape[1]} x {mask.shape[0]} pixels, the image '
+                         f'{picture.shape[1]} x {picture.shape[0]}')
+    n = picture.spacing
+    height, width = (size // n * n for size in mask.shape)
+    whole = mask[:height, :width].reshape(height // n, n, width // n, n).all(axis=(1, 3))
+    return picture._replace(counts=np.where(whole, picture.counts, np.nan).astype(np.float32))
+
+
+def _measure_file(path: Path, config: CentroidConfig, mask: NDArray[np.bool_] | None,
+                  found: MeasuredFolder) -> None:
     planes: list[Measured | str] = []
     notes: set[str] = set()
     try:
         for picture in pictures(path):
             notes.add(picture.note)
             try:
-                planes.append(Measured(path.name, picture.shape, of_picture(picture, config),
-                                       picture.taken))
+                planes.append(Measured(path.name, picture.shape,
+                                       of_picture(_masked(picture, mask), config),
+                                       picture.taken, picture.focal_px))
             except ValueError as error:             # of the extraction
                 planes.append(str(error))
     except ImageFileError as error:

@@ -27,6 +27,7 @@ from starcal_ros.workflows.still_images import (atmosphere, calibration, folder 
                                                 opencv_camera, table)
 from starcal_ros.workflows.still_images.calibration import StillImageCamera
 from starcal_ros.workflows.still_images.folder import StarImages
+from starcal_ros.workflows.still_images.measured import read_mask
 from starcal_ros.workflows.still_images.table import StillImages
 
 EPOCH = '2020-01-01T00:00:00'
@@ -129,6 +130,7 @@ class Calibrated(NamedTuple):
 def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions(),
               heldout_every: int | None = None, saturation_counts: float | None = None,
               stars_csv: str | PathLike[str] | None = None,
+              mask: str | PathLike[str] | None = None,
               on_progress: Callable[[float], None] = lambda part: None) -> Source:
     """Measure and identify the stars in the images of a folder.
 
@@ -143,6 +145,8 @@ def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions()
         Counts from which a pixel is saturated, where the files do not tell.
     stars_csv : path, optional
         Table to write of the stars, for `of_table`.
+    mask : path, optional
+        Image that is black where the others are not to be looked at.
     on_progress : callable
         Called with the part done, 0 to 1.
 
@@ -153,7 +157,8 @@ def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions()
     """
     found = star_folder.read(folder, conditions.fov_deg, conditions.epoch_utc,
                              CentroidConfig(saturation_counts=saturation_counts),
-                             Observer(conditions.velocity), conditions.site, on_progress)
+                             Observer(conditions.velocity), conditions.site,
+                             None if mask is None else read_mask(mask), on_progress)
     first, *others = [_of_camera(fspath(folder), camera, conditions, heldout_every)
                       for camera in found.cameras]
     if stars_csv is not None:

@@ -1,0 +1,248 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which stars the images of a folder show, with as much as is known of their field.
+
+A field is stated, or told by the file, or that of other images of the same size. Where it is none
+of these, ever rarer ones are tried, for as long as no image of the size is identified: the
+patterns of narrow fields take a quarter of a minute to prepare.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import timezone
+
+import numpy as np
+
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.camera import Detector
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.identification.camera_guess import CameraGuess
+from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
+                                                   MirroredError)
+from starcal_ros.imaging.centroids import Centroids
+from starcal_ros.imaging.spread import rank_in_cell
+from starcal_ros.sky import depth
+from starcal_ros.sky.apparent import Observer
+from starcal_ros.sky.refraction import Site
+from starcal_ros.workflows.still_images import why_not
+from starcal_ros.workflows.still_images.measured import Measured
+
+FIELD_DEG = (8.0, 40.0)
+"""Fields of view across the width in which a camera of unknown field is looked for first."""
+RARE_DEG = ((40.0, 100.0), (3.5, 8.0), (1.5, 3.5))
+"""Those in which it is looked for then, while no image of its size is identified."""
+FIELD_ERROR = 0.1
+"""Part of itself by which a stated field of view may be wrong."""
+
+_TOLD_ERROR, _KNOWN_ERROR = 0.15, 0.03      # of a field that a file tells, that others have
+_WIDEST_DEG, _WIDEST_TOLD_DEG = 100.0, 119.0
+_LEAST_SIGMA_PX = 0.01  # what no fit of a spot knows of: uneven pixels, proper motion to the epoch
+_BEST_OF_CELL = 2       # spots of each cell that a second search begins with
+
+Field = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class StarImage:
+    """One image and its stars.
+
+    Attributes
+    ----------
+    name : str
+        File.
+    uv_raster : (n, 2) array
+        Clean centroids of identified stars [px].
+    sigma : (n,) array
+        Of them, each axis; right but for a factor [px].
+    catalog_id : (n,) int64 array
+        Hipparcos numbers.
+    spots : int
+        All spots that were found.
+    stamp_ns : int or None
+        When it was taken, UTC since the Unix epoch; None where the file does not say.
+    has_zone : bool
+        Whether the file says that the time is UTC, or by how much it is not.
+    focal_length_px : float
+        That fits it.
+    mirrored : bool
+        Flipped to be identified.
+    """
+
+    name: str
+    uv_raster: Array
+    sigma: Array
+    catalog_id: Ints
+    spots: int
+    stamp_ns: int | None
+    has_zone: bool
+    focal_length_px: float
+    mirrored: bool
+
+
+class StarSearch:
+    """Finds the stars of images.
+
+    Parameters
+    ----------
+    fov_deg : float or None
+        Field of view across the width, to FIELD_ERROR.
+    epoch_utc : str or None
+        Time of images that do not tell it themselves, ISO 8601.
+    observer : Observer
+        Who looks, for images whose time is known.
+    site : Site, optional
+        Where they were taken, for the same.
+
+    Raises
+    ------
+    ConfigError
+        Where the field is impossible.
+    """
+
+    def __init__(self, fov_deg: float | None, epoch_utc: str | None, observer: Observer,
+                 site: Site | None) -> None:
+        if fov_deg is not None and not 0.0 < fov_deg <= _WIDEST_DEG:
+            raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
+                              f'{_WIDEST_DEG:g}')
+        self._stated = None if fov_deg is None else _about(fov_deg, FIELD_ERROR)
+        self._epoch_utc, self._observer, self._site = epoch_utc, observer, site
+        self._identifiers: dict[tuple[tuple[int, int], Field], Identifier] = {}
+        self._known: dict[tuple[int, int], list[float]] = {}
+        self._tried: dict[str, Field] = {}
+        self.left_out: dict[str, str] = {}
+
+    @property
+    def looked_for(self) -> str:
+        """Which fields were."""
+        low, high = self._stated or (RARE_DEG[-1][0], RARE_DEG[0][1])
+        return f'field of {low:g} to {high:g} deg looked for'
+
+    def images(self, measured: Sequence[Measured], on_progress: Callable[[float], None]
+               ) -> list[StarImage]:
+        """Return those that are identified; why others are not is in `left_out`.
+
+        Raises
+        ------
+        ImportError
+            Where tetra3rs is missing.
+        """
+        found: dict[str, StarImage] = {}
+        for k, image in enumerate(measured):
+            self._try(image, self._first(image), found)
+            on_progress((k + 1) / len(measured))
+        for shape in {image.shape for image in measured}:
+            missing = [image for image in measured
+                       if image.shape == shape and image.name not in found]
+            for field in RARE_DEG if self._stated is None else ():
+                for image in missing if shape not in self._known else ():
+                    self._try(image, [field], found)
+            for image in missing:
+                if image.name not in found:
+                    self._try(image, self._others(image), found)
+        return [found[image.name] for image in measured if image.name in found]
+
+    def _first(self, image: Measured) -> Iterator[Field]:
+        """Yield the fields in which an image is looked for before all others."""
+        if self._stated is not None:
+            yield self._stated
+            return
+        yield from self._others(image)
+        if image.focal_px is not None:
+            yield _about(_field_deg(image.focal_px, image), _TOLD_ERROR)
+        yield FIELD_DEG
+
+    def _others(self, image: Measured) -> Iterator[Field]:
+        """Yield the fields of other images of the same size."""
+        for focal_px in self._known.get(image.shape, ()):
+            yield _about(_field_deg(focal_px, image), _KNOWN_ERROR)
+
+    def _try(self, image: Measured, fields: Iterator[Field] | list[Field],
+             found: dict[str, StarImage]) -> None:
+        """Look for an image in some fields, and write down its stars or why there are none."""
+        said = why_not.before(image)
+        for field in fields if said is None else ():
+            low, high = self._tried.get(image.name, field)
+            self._tried[image.name] = min(low, field[0]), max(high, field[1])
+            stars = self._identify(image, field)
+            if isinstance(stars, StarImage):
+                found[image.name] = stars
+                self.left_out.pop(image.name, None)
+                known = self._known.setdefault(image.shape, [])
+                if not any(abs(stars.focal_length_px / f - 1.0) < _KNOWN_ERROR for f in known):
+                    known.append(stars.focal_length_px)
+                return
+            said = stars
+        if said is not None:
+            self.left_out[image.name] = said
+
+    def _identify(self, image: Measured, field: Field) -> StarImage | str:
+        """Return an image's stars, or why there are none."""
+        key = image.shape, field
+        height, width = image.shape
+        if key not in self._identifiers:
+            area = field[0] * field[1] * height / width
+            self._identifiers[key] = Identifier(
+                CameraGuess.of_field(Detector(width, height, 1.0), *field), self._observer,
+                depth.limit_for(area), site=self._site)
+        stamp_ns = None if self._epoch_utc is None else unix_ns(self._epoch_utc)
+        if image.taken is not None:
+            taken = image.taken
+            zoned = taken if taken.tzinfo else taken.replace(tzinfo=timezone.utc)
+            stamp_ns = unix_ns(zoned.isoformat())
+        mirrored, uv = False, image.centroids.uv_raster
+        try:
+            found = _search(self._identifiers[key], image, uv, stamp_ns)
+        except MirroredError:
+            uv, mirrored = uv * [1.0, -1.0] + [0.0, height - 1.0], True
+            try:
+                found = _search(self._identifiers[key], image, uv, stamp_ns)
+            except MirroredError:
+                found = None
+        if found is None:
+            return why_not.after(image, self._tried[image.name], self._stated is not None)
+        centroids = image.centroids
+        use = (found.catalog_id != 0) & (centroids.flags == 0)
+        if use.sum() < MIN_STARS:
+            return f'{use.sum()} clean stars (not saturated, blended or cut), needs {MIN_STARS}'
+        return StarImage(
+            image.name, uv[use], np.hypot(centroids.sigma[use], _LEAST_SIGMA_PX),
+            found.catalog_id[use], len(uv), stamp_ns,
+            image.taken is None or image.taken.tzinfo is not None,
+            float(found.view.intrinsics[2]), mirrored)
+
+
+def _search(identifier: Identifier, image: Measured, uv: Array, stamp_ns: int | None
+            ) -> Identification | None:
+    """Identify an image by its brightest spots, or else by the best ones of each of its cells.
+
+    The brightest are those of a tree or a town, where there is one.
+    """
+    spots = image.centroids
+    found = identifier.lost_in_space(uv, spots.flux, stamp_ns, spots.sigma)
+    if found is not None:
+        return found
+    rows = _best_of_cells(spots, image.shape)
+    found = identifier.lost_in_space(uv[rows], spots.flux[rows], stamp_ns, spots.sigma[rows])
+    if found is None:
+        return None
+    return identifier.track(found.view, uv, spots.flux, stamp_ns, spots.sigma) or found.among(
+        rows, len(uv))
+
+
+def _best_of_cells(spots: Centroids, shape: tuple[int, int]) -> Ints:
+    """Return the rows of the brightest spots of each cell, those of good shape."""
+    good = np.flatnonzero(spots.flags == 0)
+    rank, _ = rank_in_cell(spots.uv_raster[good], spots.flux[good], shape)
+    return good[rank < _BEST_OF_CELL]
+
+
+def _about(field_deg: float, error: float) -> Field:
+    low, high = field_deg * (1.0 - error), field_deg * (1.0 + error)
+    return low, max(min(high, _WIDEST_TOLD_DEG), low)
+
+
+def _field_deg(focal_px: float, image: Measured) -> float:
+    return 2.0 * float(np.degrees(np.arctan(image.shape[1] / (2.0 * focal_px))))

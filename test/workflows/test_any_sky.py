@@ -1,0 +1,156 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Skies of which nothing is known, with more in them than stars, and why some are left out."""
+
+import json
+from pathlib import Path
+import re
+
+from PIL import Image
+from astropy.io import fits
+from eye import FOV, TRUE, Camera, save
+import numpy as np
+import pytest
+
+from starcal_ros.cli import main
+from starcal_ros.workflows.still_images import search
+
+pytest.importorskip('tetra3rs')
+CASES = Path(__file__).parents[3] / 'shared' / 'data' / 'sky_cases'
+
+
+def run(folder, *words):
+    """Return exit status and result of a folder."""
+    out = folder.parent / 'camera.json'
+    status = main(['intrinsics', str(folder), '--out', str(out), '--overwrite', *words])
+    return status, json.loads(out.read_text()) if status in (0, 3, 4) else None
+
+
+@pytest.fixture
+def images(tmp_path):
+    folder = tmp_path / 'sky'
+    folder.mkdir()
+    return folder
+
+
+def is_right(found, true=TRUE):
+    return abs(found['f_px'] - true['f_px']) < 4.0 * found['sigma']['f_px'] < 4.0
+
+
+# The field
+
+@pytest.mark.parametrize('told', [2700.0, 900.0])
+def test_a_file_tells_the_field_and_may_be_wrong(images, told, monkeypatch):
+    """Where what it tells is right that is enough; where it is not, all is looked through."""
+    monkeypatch.setattr(search, 'RARE_DEG', ())
+    monkeypatch.setattr(search, 'FIELD_DEG', (30.0, 40.0) if told > 1000.0 else (14.0, 17.0))
+    eye = Camera()
+    for k in range(3):
+        unit = fits.PrimaryHDU(eye.towards()[::-1])
+        unit.header['FOCALLEN'], unit.header['XPIXSZ'] = told * 0.005, 5.0
+        unit.writeto(images / f'{k}.fits')
+    _, found = run(images)
+    assert is_right(found) and found['left_out'] == {}
+
+
+def test_a_wide_field_is_found_without_a_word(images):
+    """64 deg, a phone."""
+    true = {**TRUE, 'f_px': 512.0, 'k1': -0.02, 'k2': 0.0}
+    eye = Camera(true=true, least_cosine=0.6, zero_point_electrons_s=2e5)
+    for k in range(2):
+        save(images / f'{k}.png', eye.towards())
+    _, found = run(images)
+    assert is_right(found, true) and found['counts']['images'] == 2
+
+
+def test_a_field_without_stars_of_the_catalogue_is_said(images, capsys):
+    rng = np.random.default_rng(1)
+    sky = rng.normal(100.0, 5.0, (480, 640))
+    for u, v in rng.uniform(20, 460, (30, 2)).astype(int):
+        sky[v - 1:v + 2, u - 1:u + 2] += 400.0
+    save(images / 'a.png', sky.astype(np.uint16))
+    assert run(images, '--fov', '0.9')[0] == 1
+    said = capsys.readouterr().err
+    assert 'a.png: not identified: 30 spots match no stars of a field of 0.81 to 0.99 deg' in said
+    assert 'too narrow for the catalogue: such a field holds ' in said
+    assert 'it would have to reach magnitude 1' in said
+
+
+# More than stars
+
+def with_a_tree(eye, bright=20000.0):
+    """Return an image of the sky, a quarter of it full of leaves."""
+    counts = eye.towards().astype(float)
+    leaves = eye.rng.random((480, 160)) < 0.05
+    leaves |= np.roll(leaves, 1, axis=0) | np.roll(leaves, 1, axis=1)
+    counts[:, :160] += leaves * eye.rng.uniform(0.3, 1.0, leaves.shape) * bright
+    return np.clip(counts, 0, 65535).astype(np.uint16)
+
+
+def test_a_tree_does_not_hide_the_stars(images):
+    eye = Camera()
+    for k in range(3):
+        save(images / f'{k}.png', with_a_tree(eye))
+    _, found = run(images, '--fov', FOV)
+    assert is_right(found) and found['left_out'] == {}
+
+
+def test_a_mask_takes_it_out(images, tmp_path, capsys):
+    eye = Camera()
+    for k in range(2):
+        save(images / f'{k}.png', with_a_tree(eye))
+    save(images / 'small.png', eye.towards()[:400])
+    _, without = run(images, '--fov', FOV)
+    mask = np.full((480, 640), 255, np.uint8)
+    mask[:, :170] = 0
+    Image.fromarray(mask).save(tmp_path / 'mask.png')
+    _, found = run(images, '--fov', FOV, '--mask', str(tmp_path / 'mask.png'))
+    assert is_right(found)
+    assert found['images'][0]['spots'] < without['images'][0]['spots'] < 201
+    assert 'the mask has 640 x 480 pixels, the image 640 x 400' in found['left_out']['small.png']
+    capsys.readouterr()
+    assert main(['intrinsics', str(images), '--mask', str(tmp_path / 'no.png')]) == 1
+    assert 'no.png: ' in capsys.readouterr().err
+
+
+# Why not
+
+def test_each_image_that_is_left_out_has_its_own_reason(images, capsys):
+    eye = Camera()
+    save(images / 'good.png', eye.towards())
+    save(images / 'dark.png', np.full((480, 640), 100, np.uint16))
+    trail = np.array([-0.5, -0.327, 0.0, 0.327, 0.5])[:, None, None] * [45.0, 20.0]
+    save(images / 'streaked.png', eye.renderer.counts(eye.renderer.light(
+        eye.rng.uniform(-200, 200, (60, 2)) + trail, np.full(60, 2.0))))
+    at = np.stack(np.meshgrid(np.arange(-160.0, 0.0, 16.0), np.arange(-160.0, 0.0, 16.0)), axis=-1)
+    save(images / 'crowd.png', eye.counts(at.reshape(-1, 2) + eye.rng.uniform(-3, 3, (100, 2)),
+                                          eye.rng.uniform(2.0, 4.0, 100)))
+    full = eye.counts(eye.rng.uniform(-230, 230, (40, 2)), np.full(40, -4.0))
+    save(images / 'full.png', full)
+    status, found = run(images, '--fov', FOV)
+    assert status in (0, 3)
+    why = found['left_out']
+    assert list(why) == ['crowd.png', 'dark.png', 'full.png', 'streaked.png']
+    assert 'too few spots, 0, needs 4' in why['dark.png']
+    assert 'clustered: ' in why['crowd.png'] and '--mask' in why['crowd.png']
+    assert 'are saturated: expose shorter' in why['full.png']
+    assert 'streaked: they are trails of ' in why['streaked.png']
+    length, angle = (float(word) for word in re.search(
+        r'trails of (\d+) px at (\d+) deg', why['streaked.png']).groups())
+    assert abs(length - np.hypot(45.0, 20.0)) < 6.0
+    assert abs(angle - np.degrees(np.arctan2(-20.0, 45.0)) % 180.0) < 5.0
+    assert 'left out' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('case', [
+    'black_sky', 'tree', 'float_0_1', 'nan_border', 'rgb16_png', 'mef_4d', 'fz_gz'])
+def test_pictures_that_others_brought(case, tmp_path):
+    if not (CASES / case).is_dir():
+        pytest.skip(f'{CASES / case} is not there')
+    truth = json.loads((CASES / case / 'truth.json').read_text())
+    out = tmp_path / 'camera.json'
+    assert main(['intrinsics', str(CASES / case), '--out', str(out), *truth['args'].split()]
+                ) in (0, 3, 4)
+    found = json.loads(out.read_text())
+    assert abs(found['f_px'] - truth['f_px']) < truth['tolerance_px']
+    assert found['counts']['stars'] >= truth.get('least_stars', 35)
