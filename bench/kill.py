@@ -32,7 +32,8 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.shipped import config_file
 from starcal_ros.recording.mcap_tail import McapTail
 from starcal_ros.simulation.write_recording import simulate
-from starcal_ros.workflows.live_run import isolated, node_command
+from starcal_ros.workflows.live_run import isolated
+from starcal_ros.workflows.node_program import node_command
 
 FACTORS, REPEATS, DURATION_S = (1.0, 5.0, 10.0, 20.0), 5, 300.0
 

@@ -22,7 +22,7 @@ import time
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.shipped import config_file
-from starcal_ros.workflows import live_run
+from starcal_ros.workflows import live_run, node_program
 
 DURATION_S = 600.0
 REAL_TIME_S = 20.0
@@ -33,7 +33,7 @@ _TICK_S = 1.0 / os.sysconf('SC_CLK_TCK')
 
 def start(name: str, folder: Path, *names: str) -> subprocess.Popen[str]:
     """Start a node, or several in one process."""
-    command = live_run.node_command(name, {}, folder / 'config.yaml')
+    command = node_program.node_command(name, {}, folder / 'config.yaml')
     command[4:4] = names
     return subprocess.Popen(command, env={**os.environ, **live_run.isolated()}, text=True,
                             stderr=subprocess.PIPE if 'gyro_sim' in (name, *names) else None)

@@ -137,6 +137,11 @@ def test_map_of_the_package_has_the_wings_in_their_order():
                                 and path.name != '__pycache__'}
 
 
+def test_no_module_imports_scipy_stats():
+    """It takes half a second: `core.distributions` has what is needed of it."""
+    assert not [path.name for path in PACKAGE.rglob('*.py') if 'scipy.stats' in imports(path)]
+
+
 def declared() -> set[str]:
     """Return what setup.py requires or has as an extra, and what package.xml depends on."""
     setup = ast.parse((TOP / 'setup.py').read_text())

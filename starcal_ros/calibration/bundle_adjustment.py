@@ -28,9 +28,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from starcal_ros.core import camera, robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
@@ -212,9 +209,10 @@ class _Problem:
         if not len(free):
             return np.empty(0, np.int64)
         p = int(spots.point.max()) + 1
+        from scipy import sparse
         graph = sparse.coo_array((np.ones(len(free)), (spots.frame[free], n + spots.point[free])),
                                  shape=(n + p, n + p))
-        _, group = connected_components(graph, directed=False)
+        _, group = sparse.csgraph.connected_components(graph, directed=False)
         group = group[:n]
         anchored = np.unique(group[np.unique(spots.frame[self.known])])
         label, first = np.unique(group, return_index=True)
@@ -312,6 +310,8 @@ class _Normal:
             self._with_points(points)
 
     def _with_points(self, points: _Points) -> None:
+        from scipy import sparse
+        from scipy.sparse.linalg import splu
         n, p = len(self._L), points.size
         pairs = np.swapaxes(points.H_d, -1, -2)
         N_dd = np.zeros((p, 2, 2))

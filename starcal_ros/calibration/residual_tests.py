@@ -45,13 +45,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, f as fisher
 
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import INTRINSICS_SCALE, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.distributions import chi2_ppf, f_isf, f_ppf
 from starcal_ros.core.statistic import ALARM, Statistic
 from starcal_ros.filter.innovation_tests import MARGIN
 
@@ -271,7 +271,7 @@ def of_unidentified(adjusted: Adjusted, sigma: Array, gated: float) -> Consisten
 
 
 def _level(variance: float, freedom: int, margin: float) -> Statistic:
-    low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], freedom) / freedom
+    low, high = chi2_ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], freedom) / freedom
     return Statistic(LEVEL, variance, float(low) / margin, float(high) * margin, freedom)
 
 
@@ -328,7 +328,7 @@ class _Left:
             return None
         explained = float(np.sum((V.T @ q)**2 / values))
         value = explained / k / ((self.squares - explained) / rest)
-        test = Statistic(name, value, 0.0, float(fisher.isf(ALARM, k, rest)), k)
+        test = Statistic(name, value, 0.0, float(f_isf(ALARM, k, rest)), k)
         if C is None:
             return test, np.zeros(1)
         left = np.maximum(np.diag(G), _LEFT**2)
@@ -341,7 +341,7 @@ class _Left:
         S = np.eye(len(self._t)) + self._A @ C @ self._A.T
         k = len(self._t)
         value = float(self._t @ np.linalg.solve(S, self._t)) / k / variance
-        return Statistic(AGREEMENT, value, 0.0, float(fisher.isf(ALARM, k, self.freedom)), k)
+        return Statistic(AGREEMENT, value, 0.0, float(f_isf(ALARM, k, self.freedom)), k)
 
     def scatter(self, name: str, *groupings: Ints) -> list[Statistic]:
         """Return the test of that group of stars, each (n,), whose scatter differs most."""
@@ -356,7 +356,7 @@ class _Left:
         for squares, freedom in pairs:
             rest = self.freedom - freedom
             ratio = squares / freedom / ((self.squares - squares) / rest)
-            low, high = fisher.ppf([half, 1.0 - half], freedom, rest)
+            low, high = f_ppf([half, 1.0 - half], freedom, rest)
             found.append(Statistic(name, ratio, float(low) / SCATTER,
                                    float(high) * SCATTER, len(pairs)))
         return [max(found, key=lambda each: max(each.value / each.high, each.low / each.value))
@@ -375,7 +375,7 @@ def _held_out(stars: FittedStars, C: Array, free: Mask, variance: float, freedom
     b = M.T @ own._z
     squares = own.squares - float(b @ np.linalg.solve(np.eye(len(C)) + M.T @ M, b))
     return [Statistic(HELD_OUT, squares / own.freedom / variance, 0.0,
-                      float(fisher.isf(ALARM, own.freedom, freedom)) * MARGIN, own.freedom)]
+                      float(f_isf(ALARM, own.freedom, freedom)) * MARGIN, own.freedom)]
 
 
 def _patterns(stars: FittedStars, estimate: CameraEstimate, detector: Detector, by_camera: Array

@@ -21,7 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.checks.finding import SIGMAS, Finding
+from starcal_ros.checks.chance import SIGMAS
+from starcal_ros.checks.finding import Finding
 from starcal_ros.checks.turns import LEAST, Running, Turns
 from starcal_ros.config.models import mounting_matrix
 from starcal_ros.config.scenario import Scenario

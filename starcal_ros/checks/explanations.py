@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
-from starcal_ros.checks.finding import beyond_chance
+from starcal_ros.checks.chance import beyond_chance
 from starcal_ros.checks.likelihood import WAVES, Comparison, EffectSizes, StatedNoise
 from starcal_ros.checks.turns import Gyro, Turns
 from starcal_ros.core import rotation
@@ -319,6 +318,7 @@ def _cost(comparison: Comparison, model: Model) -> float:
 
 def _best_noise(comparison: Comparison, model: Model, kind: str) -> tuple[float, StatedNoise]:
     """Return the least cost for any size of one noise, and the noise."""
+    from scipy.optimize import minimize_scalar
     stated = model.noise
     unit = 1.0 if kind == 'stamps' else max(stated.walk, 1e-9)
     name = {'walk': WALK, 'bias_walk': BIAS_WALK, 'stamps': STAMPS}[kind]

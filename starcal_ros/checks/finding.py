@@ -6,24 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from scipy.stats import chi2
-
-from starcal_ros.config.scenario import Scenario, from_flat
-
-CHANCE = 1e-6
-"""Probability with which one test of right data finds something."""
-
-
-def beyond_chance(dof: int, tried: int = 1) -> float:
-    """Return the chi-square that chance exceeds with probability `CHANCE`, the most of several."""
-    return float(chi2.isf(CHANCE / tried, dof))
-
-
-SIGMAS = float(np.sqrt(beyond_chance(1)))
-"""The same of one Gaussian number, in its sigmas."""
+if TYPE_CHECKING:
+    from starcal_ros.config.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -72,6 +58,7 @@ class Finding:
 
 def proposed(scenario: Scenario, findings: Iterable[Finding]) -> Scenario:
     """Return the scenario with what the findings propose for its parameters."""
+    from starcal_ros.config.scenario import from_flat
     values = scenario.flat()
     for finding in findings:
         for key, value in finding.parameters.items():

@@ -7,13 +7,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import binom, chi2
 
-from starcal_ros.checks.finding import CHANCE, SIGMAS, Finding, beyond_chance
+from starcal_ros.checks.chance import CHANCE, SIGMAS, beyond_chance
+from starcal_ros.checks.finding import Finding
 from starcal_ros.checks.sky import SeenSky
 from starcal_ros.config.models import intrinsics, of_intrinsics
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.distributions import binomial_sf, chi2_cdf, chi2_sf
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.sky import catalog
 
@@ -73,7 +74,7 @@ def of_sky(sky: SeenSky, frames: Frames, scenario: Scenario) -> Iterator[Finding
 
 def _wrong_numbers(sky: SeenSky) -> Iterator[Finding]:
     n, wrong = len(sky.used), int((~sky.used).sum())
-    if wrong > _WRONG * n and binom.sf(wrong, n, 2e-3) < CHANCE:
+    if wrong > _WRONG * n and binomial_sf(wrong, n, 2e-3) < CHANCE:
         yield Finding('wrong numbers', f'{wrong} of {n} stars are not where the catalogue has '
                       'their number: wrong identifications', 'driver of the star tracker',
                       (wrong / n,), (float(np.sqrt(wrong) / n),), 'part')
@@ -212,7 +213,7 @@ def _noise(sky: SeenSky, frames: Frames, scenario: Scenario, waves_px2: float
     if sky.freedom < 50 or 1.0 / _NOISE_OFF < scale < _NOISE_OFF:
         return
     statistic = scale**2 * sky.freedom
-    if min(chi2.sf(statistic, sky.freedom), chi2.cdf(statistic, sky.freedom)) > CHANCE / 2.0:
+    if min(chi2_sf(statistic, sky.freedom), chi2_cdf(statistic, sky.freedom)) > CHANCE / 2.0:
         return
     value, sigma = stated * scale, stated * scale / np.sqrt(2.0 * sky.freedom)
     by_message = bool((frames.sigma > 0.0).any())

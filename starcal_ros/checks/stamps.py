@@ -6,16 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from starcal_ros.checks.finding import Finding
-from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Ints
 from starcal_ros.core.units import NS
 from starcal_ros.core.utc import utc_text
 from starcal_ros.measurements.samples import Frames, GyroSamples
+
+if TYPE_CHECKING:
+    from starcal_ros.config.scenario import Scenario
 
 _LEAST = 20             # messages that a rate needs
 _RATE_OFF = 0.03        # part by which a rate may be off its parameter

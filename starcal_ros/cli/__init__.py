@@ -2,29 +2,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command ``starcal``, one file a sub-command.
 
-A sub-command is a module of this package with ``SUMMARY``, ``DESCRIPTION``,
-``add_arguments(parser)`` and ``run(options)``, which returns the exit status: 0 done, 1 no result,
-2 wrong input; of a calibration also 3 and 4, see `terminal.STATUS`, of a check 4. What takes long
-to import is imported by ``run``.
+A sub-command is a name in `COMMANDS` and a module of this package that is called so, with
+``DESCRIPTION``, ``add_arguments(parser)`` and ``run(options)``, which returns the exit status: 0
+done, 1 no result, 2 wrong input; of a calibration also 3 and 4, see `terminal.STATUS`, of a check
+4. The module is imported when its command is given, and what it takes long to import by ``run``.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 import os
 import sys
 
 import starcal_ros
-from starcal_ros.cli.terminal import printing, say
-from starcal_ros.config.parameter import ConfigError
-from starcal_ros.messages.cdr import RecordError
-from starcal_ros.workflows.live_run import NodeError
+from starcal_ros.cli.terminal import printing
 
-COMMANDS = ('demo', 'simulate', 'check', 'calibrate', 'intrinsics', 'bootstrap', 'allan',
-            'montecarlo', 'reproduce', 'play', 'watch', 'info', 'recover')
-"""In the order in which the usage lists them."""
+COMMANDS = {
+    'demo': 'simulate over ROS 2, record, calibrate',
+    'simulate': 'write a simulated recording',
+    'check': 'tell which assumption a recording denies',
+    'calibrate': 'calibrate a recording',
+    'intrinsics': 'calibrate the camera alone',
+    'bootstrap': 'calibrate without knowing camera or stars',
+    'allan': 'noise of a gyro at rest',
+    'montecarlo': 'run a scenario many times',
+    'reproduce': "compare with a paper's table or figure",
+    'play': 'publish a recording again over ROS 2',
+    'watch': 'watch the running estimator',
+    'info': 'tell what a recording holds',
+    'recover': 'finish a recording whose recorder was killed',
+}
+"""What each does, in the order in which the usage lists them."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -35,22 +46,16 @@ def main(arguments: list[str] | None = None) -> int:
             status = int(options.run(options))
         sys.stdout.flush()
         return status
-    except (ConfigError, RecordError, FileNotFoundError) as error:
-        status, text = 2, str(error)
-    except (ValueError, NodeError) as error:
-        status, text = 1, str(error)
-    except OSError as error:
-        status, text = 1, f'{error.filename or "standard output"}: {error.strerror or error}'
-        if error.filename is None:      # nothing goes there at the end of the process, too
-            with suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         status, text = 130, 'interrupted'
-    say(f'starcal {options.command}: {text}')
+    except Exception as error:
+        status, text = _told(error)
+    from starcal_ros.cli.terminal import say
+    say(f'starcal {options.command}: error: {text}')
     return status
 
 
-def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Read a command line; a wrong one ends the process with status 2 and the usage."""
     parser = argparse.ArgumentParser(
         prog='starcal', description='Calibrate a star tracker and three gyros from the stars '
@@ -61,9 +66,34 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument('--version', action='version',
                         version=f'starcal_ros {starcal_ros.__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for name in COMMANDS:
+    words = sys.argv[1:] if arguments is None else arguments
+    given = next((word for word in words if not word.startswith('-')), '')
+    for name, text in COMMANDS.items():
+        if name != given:
+            commands.add_parser(name, help=text)
+            continue
         module = import_module(f'{__name__}.{name}')
-        command = commands.add_parser(name, help=module.SUMMARY, description=module.DESCRIPTION)
+        command = commands.add_parser(name, help=text, description=module.DESCRIPTION)
         module.add_arguments(command)
-        command.set_defaults(run=module.run)
-    return parser.parse_args(arguments)
+        command.set_defaults(run=module.run, parser=command)
+    options, unknown = parser.parse_known_args(words)
+    if unknown:
+        options.parser.error(f'unrecognized arguments: {" ".join(unknown)}')
+    return options
+
+
+def _told(error: Exception) -> tuple[int, str]:
+    """Return the exit status and the text of an error; raise it again where it is a defect."""
+    from starcal_ros.config.parameter import ConfigError
+    from starcal_ros.messages.cdr import RecordError
+    from starcal_ros.workflows.node_program import NodeError
+    if isinstance(error, (ConfigError, RecordError, FileNotFoundError)):
+        return 2, str(error)
+    if isinstance(error, (ValueError, NodeError)):
+        return 1, str(error)
+    if isinstance(error, OSError):
+        if error.filename is None:      # nothing goes there at the end of the process, too
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1, f'{error.filename or "standard output"}: {error.strerror or error}'
+    raise error

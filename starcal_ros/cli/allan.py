@@ -14,7 +14,6 @@ from starcal_ros.cli.terminal import progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.files.output import write_text
 
-SUMMARY = 'noise of a gyro at rest'
 DESCRIPTION = ('Tell the noise of a gyro from its Allan deviation: quantisation, angle random '
                'walk, bias instability and rate random walk of each axis, with their intervals, '
                'and the lines of a parameter file. Of the recording the longest stretch at rest '

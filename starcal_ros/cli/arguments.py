@@ -7,14 +7,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from starcal_ros.cli.terminal import say
-from starcal_ros.config import parameter_file
-from starcal_ros.config.instrument import CameraConfig, MountingConfig
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.shipped import config_file
 from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, Role, TopicChoice
+
+if TYPE_CHECKING:
+    from starcal_ros.config import parameter_file
+    from starcal_ros.config.scenario import Scenario
 
 SIMULATORS = ('star_tracker_sim', 'gyro_sim')
 SIMULATED = (*SIMULATORS, 'estimator')
@@ -85,6 +87,7 @@ def scenario(options: argparse.Namespace, nodes: Sequence[str], **values: object
     values
         Parameters of the group ``simulation``, by name.
     """
+    from starcal_ros.config import parameter_file
     reading = parameter_file.read_file(options.config or config_file('tan2018.yaml'), nodes,
                                        options.namespace)
     given = {key: value for key, value in values.items() if value is not None}
@@ -110,6 +113,8 @@ def scenario_of(bag: str | Path, options: argparse.Namespace, nodes: Sequence[st
     """
     if options.config:
         return scenario(options, nodes)
+    from starcal_ros.config import parameter_file
+    from starcal_ros.config.instrument import CameraConfig, MountingConfig
     from starcal_ros.recording.bag import open_bag
     from starcal_ros.recording.reader import CONFIG_ATTACHMENT
     attached = open_bag(Path(bag)).attachments.get(CONFIG_ATTACHMENT)

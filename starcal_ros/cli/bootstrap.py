@@ -11,7 +11,6 @@ from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 
-SUMMARY = 'calibrate without knowing camera or stars'
 DESCRIPTION = ('Calibrate a recording of which only the focal length is known, to a tenth, and no '
                'star by its number (numbers in the recording are ignored): self-calibration, '
                'identification, angular distances, the 16-state filter, each from what the last '

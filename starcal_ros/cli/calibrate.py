@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.check import check_recording
@@ -16,11 +16,12 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.files.output import write_text
-from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.recording.topic_choice import TopicChoice
-from starcal_ros.results.store import CalibrationStore
 
-SUMMARY = 'calibrate a recording'
+if TYPE_CHECKING:
+    from starcal_ros.filter.calibrator import Calibrator
+    from starcal_ros.results.store import CalibrationStore
+
 DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
                'with imu/data_raw (sensor_msgs/Imu) and star_tracker/centroids '
                '(sensor_msgs/PointCloud2: u, v, catalog_id).')
@@ -149,6 +150,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
 
 
 def _saved(scenario: Scenario) -> CalibrationStore:
+    from starcal_ros.results.store import CalibrationStore
     return CalibrationStore(Path(scenario.estimator.calibration_directory))
 
 

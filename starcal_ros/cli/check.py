@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from starcal_ros.checks.check import Checked
     from starcal_ros.recording.reader import Recording
 
-SUMMARY = 'tell which assumption a recording denies'
 DESCRIPTION = ('Read from a recording, before any filter, what of its configuration is wrong: '
                'units, axes and mounting of the gyros, stamps and clocks, rates, noise, the '
                'camera. Exit status 0: nothing found; 4: found; 2: wrong input.')

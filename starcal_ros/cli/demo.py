@@ -11,7 +11,6 @@ from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.calibrate import calibrate_recording
 from starcal_ros.cli.terminal import progress, show, show_json
 
-SUMMARY = 'simulate over ROS 2, record, calibrate'
 DESCRIPTION = ('Start star tracker, gyro, estimator and recorder as separate ROS 2 processes, run '
                'a shortened scenario faster than real time, record it, calibrate the recording '
                'again and compare. Leaves run.mcap, result.json, convergence.png and report.html.')

@@ -9,18 +9,16 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
 from starcal_ros.cli import arguments
 from starcal_ros.cli.terminal import show, show_json
 from starcal_ros.files.foreign import clean, literal
 
 if TYPE_CHECKING:
     from starcal_ros.checks.finding import Finding
+    from starcal_ros.recording.bag import Bag
     from starcal_ros.recording.mcap_check import Findings
     from starcal_ros.recording.reader import Summary
 
-SUMMARY = 'tell what a recording holds'
 DESCRIPTION = ('List the topics, types, counts and rates of a recording, and what is odd of the '
                'stamps of gyro and frames. With --check also whether it is sound: every checksum, '
                'the definitions of its types and the counts that it states; exit status 4 where '
@@ -40,11 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.recording import reader
-    from starcal_ros.recording.check import check
-    summary = reader.summary(options.bag)
-    uses, doubts = _uses(options)
-    stamps, unread = _stamps(options, summary, uses)
-    files = check(Path(options.bag)) if options.check else None
+    from starcal_ros.recording.bag import open_bag
+    bag = open_bag(Path(options.bag))
+    summary = reader.summary_of(bag)
+    uses, doubts = _uses(bag, options)
+    stamps, unread = _stamps(bag, summary, uses)
+    files = None
+    if options.check:
+        from starcal_ros.recording.check import check
+        files = check(Path(options.bag))
     show_json(_as_dict(options, summary, uses, [*summary.warnings, *doubts, *unread], stamps,
                        files))
     _show_topics(options, summary, {name: word for word, name in uses.items()})
@@ -80,6 +82,7 @@ def _as_dict(options: argparse.Namespace, summary: Summary, uses: dict[str, str]
 
 
 def _show_topics(options: argparse.Namespace, summary: Summary, uses: dict[str, str]) -> None:
+    from rich.table import Table
     table = Table(title=literal(f'{options.bag}: {summary.duration_s:.2f} s, '
                                 f'{summary.n_bytes / 1e6:.1f} MB'))
     for column in ('topic', 'type', 'messages', 'rate [Hz]', 'read as'):
@@ -108,7 +111,7 @@ def _show_check(files: dict[str, Findings]) -> None:
              f'{sum(found.chunks for found in files.values())} chunks')
 
 
-def _stamps(options: argparse.Namespace, summary: Summary, used: dict[str, str]
+def _stamps(bag: Bag, summary: Summary, used: dict[str, str]
             ) -> tuple[list[Finding], list[str]]:
     """Return what the stamps of gyro and frames say by themselves, and why they can not."""
     from starcal_ros.checks.stamps import LogTimes, of_clocks, of_topic
@@ -117,28 +120,25 @@ def _stamps(options: argparse.Namespace, summary: Summary, used: dict[str, str]
     if not {'gyro', 'frames'} <= used.keys():
         return [], []
     try:
-        recording = reader.read(options.bag, choice=arguments.topics(options))
+        gyro_ns, frames_ns = reader.read_stamps(bag, [used['gyro'], used['frames']])
     except RecordError as error:
         return [], [f'can not be read: {error}']
     logged = {topic.topic: LogTimes(topic.first_ns, topic.last_ns) for topic in summary.topics}
-    return [*of_topic('gyro readings', recording.gyro.stamp_ns, None, 0.0, 'gyro'),
-            *of_topic('frames', recording.frames.stamp_ns, None, 0.0, 'star tracker'),
-            *of_clocks(recording.gyro.stamp_ns, recording.frames.stamp_ns,
-                       logged.get(recording.frames_topic))], []
+    return [*of_topic('gyro readings', gyro_ns, None, 0.0, 'gyro'),
+            *of_topic('frames', frames_ns, None, 0.0, 'star tracker'),
+            *of_clocks(gyro_ns, frames_ns, logged.get(used['frames']))], []
 
 
-def _uses(options: argparse.Namespace) -> tuple[dict[str, str], list[str]]:
+def _uses(bag: Bag, options: argparse.Namespace) -> tuple[dict[str, str], list[str]]:
     """Return the topics that other commands would read, by what they are, and what is open."""
     from starcal_ros.messages.cdr import RecordError
-    from starcal_ros.recording.bag import open_bag
     from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, candidates, choose
-    bag, path = open_bag(Path(options.bag)), Path(options.bag)
     uses, doubts = dict[str, str](), list[str]()
     for word, role, given in zip(('gyro', 'frames', 'images'), (GYRO, FRAMES, IMAGE),
                                  arguments.topics(options)):
         if given or len(found := candidates(bag.topics(), role)) == 1:
             try:
-                uses[word] = choose(bag, role, path, given).name
+                uses[word] = choose(bag, role, Path(options.bag), given).name
             except RecordError as error:
                 if given:
                     raise

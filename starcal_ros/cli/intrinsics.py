@@ -16,7 +16,6 @@ from starcal_ros.config.scenario import parameters
 from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.imaging.files import KINDS, is_image
 
-SUMMARY = 'calibrate the camera alone'
 DESCRIPTION = ('Calibrate the camera alone, from what the stars are to each other: no attitude is '
                'needed, and with interstar and bundle no identification. From a recording it '
                'begins at the nominal camera with estimator.initial_sigma. Of a folder of images '

@@ -11,7 +11,6 @@ from pathlib import Path
 from starcal_ros.cli import arguments, cluster, outputs
 from starcal_ros.cli.terminal import progress, show, show_json
 
-SUMMARY = 'run a scenario many times'
 DESCRIPTION = ('Simulate and estimate a scenario with many seeds and compare the errors with the '
                'covariance that the filter states and with the Cramér-Rao bound. A killed study '
                'goes on where it was when the same command is given again.')

@@ -12,7 +12,6 @@ from starcal_ros.cli import arguments
 from starcal_ros.messages.topics import TOPICS
 from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, choose, of_type
 
-SUMMARY = 'publish a recording again over ROS 2'
 DESCRIPTION = ('Publish the sensor topics of a recording and /clock, as the node `player` does. '
                'Its services ~/pause and ~/resume stop it for a while.')
 
@@ -34,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.workflows.live_run import node_command
+    from starcal_ros.workflows.node_program import node_command
     return subprocess.call(node_command('player', {
         'player.bag': str(options.bag), 'player.rate': options.rate,
         'player.start_offset_s': options.start_offset, 'player.loop': options.loop,

@@ -12,7 +12,6 @@ from starcal_ros.cli.terminal import show, show_json
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.files.foreign import clean
 
-SUMMARY = 'finish a recording whose recorder was killed'
 DESCRIPTION = ('Write a recording anew from all that is whole in it, with the index and the '
                'summary that other readers need, and for a directory metadata.yaml. Tells what is '
                'lost. A sound recording stays as it is.')

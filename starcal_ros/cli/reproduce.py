@@ -17,7 +17,6 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.files.output import write_text
 from starcal_ros.reproduction import published
 
-SUMMARY = "compare with a paper's table or figure"
 DESCRIPTION = ('Run what a table or figure of a paper was made from, and put its numbers beside '
                'ours and the bound. Names without a prefix are of Tan et al. 2018; real-sky and '
                'half-real need star images of others, in the folder STARCAL_REAL_SKY; '

@@ -9,7 +9,6 @@ import argparse
 from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import progress
 
-SUMMARY = 'write a simulated recording'
 DESCRIPTION = ('Simulate the sensors of a scenario and write their messages, the configuration '
                'and the truth into an MCAP recording, without ROS.')
 

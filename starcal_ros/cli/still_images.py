@@ -5,15 +5,15 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import stamp_ns
-from starcal_ros.results.result import CalibrationError
-from starcal_ros.sky.refraction import Site
-from starcal_ros.workflows.still_images import pipeline
-from starcal_ros.workflows.still_images.pipeline import Conditions, Source
+
+if TYPE_CHECKING:
+    from starcal_ros.sky.refraction import Site
+    from starcal_ros.workflows.still_images.pipeline import Conditions, Source
 
 _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars')
@@ -109,7 +109,9 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     outcome : dict
         What is written as JSON.
     """
-    conditions = Conditions(options.fov, options.epoch, _site(options), options.aberration)
+    from starcal_ros.workflows.still_images import pipeline
+    conditions = pipeline.Conditions(options.fov, options.epoch, _site(options),
+                                     options.aberration)
     source = _of_table(options, conditions) if options.centroids else _of_folder(
         options, conditions)
     for text in (*source.notices, *(f'{name} left out: {why}'
@@ -130,6 +132,8 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
 
 def _other(source: Source, given: dict[str, Any]) -> dict[str, Any] | None:
     """Calibrate and show another camera of the folder; None where that is not possible."""
+    from starcal_ros.results.result import CalibrationError
+    from starcal_ros.workflows.still_images import pipeline
     for text in source.notices:
         say(f'warning: {text}')
     try:
@@ -149,6 +153,7 @@ def _show(source: Source, outcome: dict[str, Any], one_of_several: bool) -> None
 
 
 def _of_table(options: argparse.Namespace, conditions: Conditions) -> Source:
+    from starcal_ros.workflows.still_images import pipeline
     if not (options.width and options.height):
         raise ConfigError('--centroids: needs --width and --height of the images')
     if conditions.site is not None and not options.epoch:
@@ -157,6 +162,7 @@ def _of_table(options: argparse.Namespace, conditions: Conditions) -> Source:
 
 
 def _of_folder(options: argparse.Namespace, conditions: Conditions) -> Source:
+    from starcal_ros.workflows.still_images import pipeline
     with progress('reading') as on_progress:
         try:
             return pipeline.of_folder(options.source, conditions, options.heldout,
@@ -168,6 +174,7 @@ def _of_folder(options: argparse.Namespace, conditions: Conditions) -> Source:
 def _site(options: argparse.Namespace) -> Site | None:
     if not options.site:
         return None
+    from starcal_ros.sky.refraction import Site
     try:
         numbers = [float(word) for word in options.site.split(',')]
         if not 2 <= len(numbers) <= 3:

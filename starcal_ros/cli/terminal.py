@@ -12,13 +12,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 import json
-from typing import Any
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from typing import TYPE_CHECKING, Any
 
 from starcal_ros.files.foreign import literal
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 STATUS = {'converged': 0, 'consistent': 0, 'not yet': 3, 'inconsistent': 4, 'lost': 4}
 """Exit status of a calibration, by its verdict; the result is written in all of them."""
@@ -40,6 +39,9 @@ def printing(as_json: bool) -> Iterator[None]:
 @contextmanager
 def progress(text: str) -> Iterator[Callable[[float], None]]:
     """Show a progress bar on standard error; yield what moves it, from 0 to 1."""
+    from rich.console import Console
+    from rich.progress import (BarColumn, Progress, TaskProgressColumn, TextColumn,
+                               TimeElapsedColumn)
     with Progress(TextColumn(f'{text:<12}'), BarColumn(), TaskProgressColumn(),
                   TimeElapsedColumn(), console=Console(stderr=True)) as bar:
         task = bar.add_task(text, total=1.0)
@@ -50,6 +52,7 @@ def show(what: Table | str) -> None:
     """Print on standard output, but for JSON; a pipe is as wide as the widest table."""
     if _AS_JSON.get():
         return
+    from rich.console import Console
     console = Console(highlight=False, soft_wrap=True)
     if not console.is_terminal:
         console = Console(highlight=False, soft_wrap=True, width=_UNBOUNDED)
@@ -64,4 +67,5 @@ def show_json(values: dict[str, Any]) -> None:
 
 def say(text: str) -> None:
     """Print a message for the user on standard error."""
+    from rich.console import Console
     Console(stderr=True, highlight=False, soft_wrap=True).print(literal(text))

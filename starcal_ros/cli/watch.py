@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import os
 
-SUMMARY = 'watch the running estimator'
 DESCRIPTION = ('Show what the running estimator says: the verdict, each state with its sigma and '
                'tolerance, rates, counts and a map of the stars. Ctrl-C ends it.')
 
@@ -18,6 +17,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.workflows.live_run import node_command
+    from starcal_ros.workflows.node_program import node_command
     command = node_command('watch', {})
     os.execv(command[0], command)       # so that Ctrl-C and the status are the node's own

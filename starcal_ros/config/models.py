@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import chi2
 
 from starcal_ros.config.estimator import EstimatorConfig, ProcessNoiseConfig, SigmaConfig
 from starcal_ros.config.instrument import CameraConfig, MountingConfig, ObserverConfig
@@ -17,6 +16,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.distributions import chi2_ppf_of_two
 from starcal_ros.sky.apparent import Observer
 
 _KINDS = (3, 3, 2, 1, 1, 1, 1, 1)       # calibrated states of each kind that a SigmaConfig has
@@ -86,7 +86,7 @@ def of_calibrated(config: SigmaConfig | ProcessNoiseConfig) -> Array:
 
 def star_gate(estimator: EstimatorConfig) -> float:
     """Return the chi-square, two degrees of freedom, up to which a star passes the gate."""
-    return float(chi2.ppf(estimator.gate_probability, 2))
+    return chi2_ppf_of_two(estimator.gate_probability)
 
 
 def true_time_offset_s(scenario: Scenario) -> float:

@@ -21,9 +21,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from scipy.special import ndtr
 
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.distributions import normal_cdf
 
 
 def profile(edges: Array, sigma: Array | float) -> Array:
@@ -40,7 +40,7 @@ def profile(edges: Array, sigma: Array | float) -> Array:
     -------
     p : (..., k) array
     """
-    return np.diff(ndtr(edges / sigma))
+    return np.diff(normal_cdf(edges / sigma))
 
 
 def profile_slopes(edges: Array, sigma: Array | float) -> tuple[Array, Array]:

@@ -7,8 +7,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
-from scipy.stats import chi2, norm
-
+from starcal_ros.core.distributions import chi2_isf, normal_isf
 from starcal_ros.core.utc import utc_text
 
 ALARM = 1e-5
@@ -73,10 +72,10 @@ class Statistic(NamedTuple):
 @lru_cache(maxsize=4096)
 def chi2_beyond(probability: float, freedom: int) -> float:
     """Return what a chi-square number exceeds with a probability."""
-    return float(chi2.isf(probability, freedom))
+    return float(chi2_isf(probability, freedom))
 
 
 @lru_cache(maxsize=4096)
 def normal_beyond(probability: float) -> float:
     """Return what a normal number exceeds with a probability."""
-    return float(norm.isf(probability))
+    return float(normal_isf(probability))

@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.distributions import chi2_ppf
 from starcal_ros.filter.innovation_tests import gated_nis
 
 
@@ -31,7 +31,7 @@ class Interval(NamedTuple):
 def mean_interval(degrees: float, count: int, probability: float) -> Interval:
     """Return the interval of the mean of `count` chi-square numbers of some degrees of freedom."""
     tail = 0.5 * (1.0 - probability)
-    low, high = chi2.ppf([tail, 1.0 - tail], degrees * count) / count
+    low, high = chi2_ppf([tail, 1.0 - tail], degrees * count) / count
     return Interval(float(low), float(high))
 
 

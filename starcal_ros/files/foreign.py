@@ -7,7 +7,10 @@ A terminal obeys what is in it, and `rich` takes words in brackets for styles.
 
 from __future__ import annotations
 
-from rich.text import Text
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.text import Text
 
 
 def clean(text: str, keep: str = '') -> str:
@@ -30,4 +33,5 @@ def clean(text: str, keep: str = '') -> str:
 
 def literal(text: str, keep: str = '\n') -> Text:
     """Return a text for `rich`, which shows it as it stands; for `keep` see `clean`."""
+    from rich.text import Text
     return Text(clean(text, keep))

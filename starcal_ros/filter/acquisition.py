@@ -32,7 +32,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from starcal_ros.core import camera, robust, rotation
 from starcal_ros.core.arrays import Array, Mask
@@ -183,10 +182,10 @@ def _look(filter_: Filter, known: Belief, stars: Stars) -> tuple[Array, Mask]:
     wrong_px = 6.0 * spread + 10.0 * (smeared * stars.sigma[usable]).max(initial=0.0)
     agreeing = consensus(stars.u_i[usable], r_s, wrong_px * pitch_mm / estimate.intrinsics[2])
     _require(int(agreeing.sum()), len(usable))
-    found, _ = Rotation.align_vectors(r_s[agreeing], stars.u_i[usable][agreeing])
+    C_si = rotation.wahba(r_s[agreeing].T @ stars.u_i[usable][agreeing])
     trusted: Mask = np.zeros(len(stars.sigma), dtype=bool)
     trusted[usable[agreeing]] = True
-    return estimate.C_sg.T @ found.as_matrix(), trusted
+    return estimate.C_sg.T @ C_si, trusted
 
 
 def _fit(filter_: Filter, prior: Belief, at: Belief, stars: Stars, trusted: Mask

@@ -26,7 +26,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from starcal_ros.core.arrays import Array
 from starcal_ros.filter.belief import Belief
@@ -57,8 +56,10 @@ def groups(correlation: Array) -> list[list[int]]:
     """Return the states that are bound to each other by relations of their own."""
     value, vector = np.linalg.eigh(correlation)
     known = vector[:, value < 1.0 - COUPLED]
-    _, label = connected_components(np.abs(known @ known.T) > _SHARE)
-    members = [np.flatnonzero(label == group).tolist() for group in np.unique(label)]
+    linked = np.abs(known @ known.T) > _SHARE
+    # Bound to each other over as many others as there are: who is bound to the same is a group.
+    bound = np.linalg.matrix_power(linked + np.eye(len(linked)), len(linked)) > 0.0
+    members = [np.flatnonzero(row).tolist() for row in np.unique(bound, axis=0)[::-1]]
     return [group for group in members if len(group) > 1]
 
 

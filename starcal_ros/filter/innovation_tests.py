@@ -37,9 +37,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.distributions import chi2_ppf_of_two
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond, normal_beyond
 from starcal_ros.filter import arithmetic
 from starcal_ros.filter.frame_innovation import (ALONG, CELLS, FRAMES, FREEDOM, LAG, MAGNITUDES,
@@ -248,4 +248,4 @@ def gated_nis(gate_probability: float) -> float:
     above = 1.0 - gate_probability
     if above == 0.0:
         return 1.0
-    return float(1.0 - 0.5 * chi2.ppf(gate_probability, 2) * above / gate_probability)
+    return 1.0 - 0.5 * chi2_ppf_of_two(gate_probability) * above / gate_probability

@@ -35,12 +35,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
 
 from starcal_ros.config.estimator import ProcessNoiseConfig
 from starcal_ros.config.models import of_calibrated
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.distributions import normal_cdf, normal_pdf
 from starcal_ros.core.kalman import Evidence
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR, SQRT_HOUR
 from starcal_ros.filter import process_noise
@@ -265,7 +265,7 @@ def expected(information: float) -> float:
     if information <= 0.0:
         return 1.0
     known = 1.0 / math.sqrt(information)
-    return math.sqrt(1.0 + known * float(norm.pdf(1.0 / known) / norm.cdf(1.0 / known)))
+    return math.sqrt(1.0 + known * float(normal_pdf(1.0 / known) / normal_cdf(1.0 / known)))
 
 
 def spread(information: float) -> float:

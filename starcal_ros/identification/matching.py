@@ -23,15 +23,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, poisson
 
 from starcal_ros.core import camera, kalman, robust, rotation
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.distributions import chi2_ppf_of_two, poisson_sf
 
 Rows = Ints
 
-GATE = float(chi2.ppf(0.999, 2))
+GATE = chi2_ppf_of_two(0.999)
 """Chi-square of two degrees of freedom that one image of a star in a thousand exceeds."""
 
 _ITERATIONS = 5
@@ -160,4 +160,4 @@ def chance(matched: int, spots: int, stars: Expected, sigma: float, detector: De
     """
     S = stars.P + sigma**2 * np.eye(2)
     area = np.pi * GATE * np.sqrt(np.linalg.det(S)).sum()
-    return float(poisson.sf(matched - 1, spots * area / (detector.width * detector.height)))
+    return float(poisson_sf(matched - 1, spots * area / (detector.width * detector.height)))

@@ -33,9 +33,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, nnls
-from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.core.distributions import chi2_ppf, chi2_sf
 
 CONFIDENCE = 0.95
 LEAST = 64
@@ -164,14 +164,14 @@ def allan(rate_deg_h: Array, rate_hz: float) -> AllanCurve:
     deviance = 2.0 * (_minus_log(fitted, deviation**2, edf)
                       - _minus_log(deviation**2, deviation**2, edf))
     misfit = deviance / max(left, 1)
-    allowed = chi2.ppf(CONFIDENCE, 1) * max(misfit, 1.0)
+    allowed = chi2_ppf(CONFIDENCE, 1) * max(misfit, 1.0)
     tail = (1.0 - CONFIDENCE) / 2.0
     return AllanCurve(
-        m / rate_hz, deviation, deviation * np.sqrt(own / chi2.ppf(1.0 - tail, own)),
-        deviation * np.sqrt(own / chi2.ppf(tail, own)), np.sqrt(fitted),
+        m / rate_hz, deviation, deviation * np.sqrt(own / chi2_ppf(1.0 - tail, own)),
+        deviation * np.sqrt(own / chi2_ppf(tail, own)), np.sqrt(fitted),
         tuple(_coefficient(k, basis, counted, deviation**2, edf, squares, allowed)
               for k in range(len(TERMS))),
-        misfit, bool(chi2.sf(deviance, max(left, 1)) > _UNLIKELY))
+        misfit, bool(chi2_sf(deviance, max(left, 1)) > _UNLIKELY))
 
 
 def _basis(tau: Array) -> Array:

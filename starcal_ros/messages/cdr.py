@@ -111,6 +111,22 @@ def header_stamp_ns(header: NDArray[np.void]) -> Ints:
     return stamp_ns
 
 
+def stamps_ns(messages: Messages) -> Ints:
+    """Return the stamps of messages that begin with std_msgs/Header, (n,) ns since the epoch.
+
+    Raises
+    ------
+    RecordError
+        If a message has no header.
+    """
+    found = np.empty(len(messages), np.int64)
+    for rows, order in by_byte_order(messages):
+        require(messages.size[rows] - ENCAPSULATION, HEADER.itemsize, 'a header')
+        found[rows] = header_stamp_ns(gather(
+            messages.data, messages.start[rows] + ENCAPSULATION, HEADER.newbyteorder(order)))
+    return found
+
+
 def frame_id(message: bytes) -> str | None:
     """Return the frame_id in the header of one message, None where there is none to be read."""
     begin = ENCAPSULATION + HEADER.itemsize

@@ -15,15 +15,19 @@ number of messages.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
-from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.messages.cdr import (ENCAPSULATION, HEADER, Messages, by_byte_order, gather,
                                       header_stamp_ns, require)
+
+if TYPE_CHECKING:
+    from starcal_ros.filter.attitude_track import AttitudeTrack
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 _IMU_NUMBERS = 37

@@ -8,19 +8,17 @@ rare, and goes message by message through the `rosbags` library.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from heapq import merge
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-from rosbags.interfaces import Qos
-from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.metadata import parse_qos
+import yaml
 import zstandard
 
 from starcal_ros.core.arrays import Ints
@@ -31,6 +29,9 @@ from starcal_ros.recording.bag_files import MCAP, BagFiles, find
 from starcal_ros.recording.mcap_chunk import ZSTD_HEAD, unpack
 from starcal_ros.recording.mcap_chunks import LATEST
 from starcal_ros.recording.mcap_reader import GROUP_BYTES, McapFile
+
+if TYPE_CHECKING:
+    from rosbags.rosbag2 import Reader
 
 _BATCH = 10_000
 
@@ -45,8 +46,8 @@ class RecordedTopic:
         As in ``/imu/data_raw`` and ``sensor_msgs/msg/Imu``.
     encoding : str
         Of its messages; ROS 2 writes ``cdr``.
-    qos : str
-        What its publishers offered, for a reader; '' where not recorded.
+    offered : frozenset of str
+        QoS profiles that its publishers offered, as recorded (YAML); see `described`.
     count : int
         Number of messages that the bag holds.
     """
@@ -54,7 +55,7 @@ class RecordedTopic:
     name: str
     type: str
     encoding: str
-    qos: str
+    offered: frozenset[str]
     count: int
 
 
@@ -169,7 +170,7 @@ class _McapBag:
                 schema = part.schemas.get(channel.schema_id)
                 merged.setdefault(channel.topic, []).append(RecordedTopic(
                     channel.topic, schema.name if schema else '', channel.message_encoding,
-                    _describe_yaml(channel.metadata.get('offered_qos_profiles', '')),
+                    frozenset([channel.metadata.get('offered_qos_profiles', '')]),
                     part.counts[channel.id]))
         return [_merge(merged[name]) for name in sorted(merged)]
 
@@ -246,7 +247,7 @@ class _SqliteBag:
                     topics.setdefault(connection.topic, []).append(RecordedTopic(
                         connection.topic, connection.msgtype,
                         getattr(connection.ext, 'serialization_format', ''),
-                        _describe(getattr(connection.ext, 'offered_qos_profiles', [])),
+                        frozenset([_profiles(connection.ext)]),
                         connection.msgcount))
         return [_merge(topics[name]) for name in sorted(topics)]
 
@@ -297,6 +298,7 @@ class _SqliteBag:
 @contextmanager
 def _reader(path: Path) -> Iterator[Reader]:
     """Open a file and turn the many errors of the libraries below into one."""
+    from rosbags.rosbag2 import Reader
     try:
         with Reader(path) as reader:
             yield reader
@@ -326,20 +328,27 @@ def _merge(parts: list[RecordedTopic]) -> RecordedTopic:
     def words(values: list[str]) -> str:
         return ' | '.join(sorted(set(filter(None, values))))
     return RecordedTopic(parts[0].name, words([part.type for part in parts]),
-                         words([part.encoding for part in parts]), words(
-                             [part.qos for part in parts]),
+                         words([part.encoding for part in parts]),
+                         frozenset[str]().union(*(part.offered for part in parts)),
                          sum(part.count for part in parts))
 
 
-def _describe_yaml(profiles: str) -> str:
-    try:
-        return _describe(parse_qos(load_yaml(profiles) or []))
-    except (LookupError, TypeError, ValueError, AttributeError):
-        return 'unreadable'
+def described(offered: Iterable[str]) -> str:
+    """Say what publishers offered, as in 'reliable, volatile, keep_last 100'; '' of nothing."""
+    from rosbags.rosbag2.metadata import parse_qos
+    words = set()
+    for profiles in offered:
+        try:
+            words |= {f'{qos.reliability.name}, {qos.durability.name}, '
+                      f'{qos.history.name} {qos.depth}'.lower()
+                      for qos in parse_qos(load_yaml(profiles) or [])}
+        except (LookupError, TypeError, ValueError, AttributeError):
+            words.add('unreadable')
+    return ' | '.join(sorted(words))
 
 
-def _describe(profiles: list[Qos]) -> str:
-    """Say what publishers offered, as in 'reliable, volatile, keep_last 100'."""
-    return ' | '.join(sorted({
-        f'{qos.reliability.name}, {qos.durability.name}, {qos.history.name} {qos.depth}'.lower()
-        for qos in profiles}))
+def _profiles(of_sqlite: Any) -> str:
+    from rosbags.rosbag2.metadata import dump_qos_v9
+    text: str = yaml.safe_dump([dict(each) for each in dump_qos_v9(
+        getattr(of_sqlite, 'offered_qos_profiles', []))])
+    return text

@@ -10,8 +10,8 @@ nothing is sorted by stamp, thinned or repaired.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +19,17 @@ from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.messages.cdr import Messages, RecordError
+from starcal_ros.messages.cdr import Messages, RecordError, stamps_ns
 from starcal_ros.messages.cdr_imu import decode_imu
-from starcal_ros.recording.bag import open_bag
+from starcal_ros.recording.bag import Bag, described, open_bag
 from starcal_ros.recording.recording_stream import RecordingStream
 from starcal_ros.recording.topic_choice import (FRAMES, GYRO, TopicChoice, choose, mean_rate_hz,
                                                 notice)
 
 GYRO_TOPIC, FRAMES_TOPIC = GYRO.topic, FRAMES.topic
 CONFIG_ATTACHMENT, TRUTH_ATTACHMENT = 'config.yaml', 'truth.json'
+
+_NONE = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,8 @@ class TopicSummary:
         When the first and last were recorded, None if there is none [ns since the epoch].
     rate_hz : float
         Mean rate, NaN below two messages.
-    qos : str
-        What its publishers offered, '' where not recorded.
+    offered : frozenset of str
+        QoS profiles of its publishers, as recorded: one and the same offer has many forms.
     """
 
     topic: str
@@ -89,7 +91,12 @@ class TopicSummary:
     first_ns: int | None
     last_ns: int | None
     rate_hz: float
-    qos: str
+    offered: frozenset[str] = field(compare=False)
+
+    @property
+    def qos(self) -> str:
+        """What its publishers offered, in words; '' where not recorded."""
+        return described(self.offered)
 
 
 @dataclass(frozen=True)
@@ -186,6 +193,26 @@ def read_gyro(path: str | Path, on_progress: Callable[[float], None] | None = No
     return gyro, topic.name, (*bag.warnings, *([found] if found else []))
 
 
+def read_stamps(bag: Bag, names: Sequence[str]) -> list[Ints]:
+    """Return the stamps of topics whose messages have a header, in the order of recording.
+
+    Raises
+    ------
+    RecordError
+        If a message has none.
+    """
+    times: dict[str, list[Ints]] = {name: [] for name in names}
+    stamps: dict[str, list[Ints]] = {name: [] for name in names}
+    for name, log_time, messages, _ in bag.messages(times):
+        times[name].append(log_time)
+        stamps[name].append(stamps_ns(messages))
+    found = []
+    for name in names:
+        stamp_ns, order = np.concatenate([_NONE, *stamps[name]]), _order(times[name])
+        found.append(stamp_ns if order is None else stamp_ns[order])
+    return found
+
+
 def summary(path: str | Path) -> Summary:
     """Tell what a recording holds, without decoding it.
 
@@ -194,7 +221,11 @@ def summary(path: str | Path) -> Summary:
     RecordError
         If the path holds no recording.
     """
-    bag = open_bag(Path(path))
+    return summary_of(open_bag(Path(path)))
+
+
+def summary_of(bag: Bag) -> Summary:
+    """Tell what an open recording holds, without decoding it."""
     rows: list[TopicSummary] = []
     spans: list[int] = []
     for topic in bag.topics():
@@ -202,7 +233,7 @@ def summary(path: str | Path) -> Summary:
         first, last = span or (None, None)
         spans += span or []
         rows.append(TopicSummary(topic.name, topic.type, topic.count, first, last,
-                                 mean_rate_hz(topic.count, span), topic.qos))
+                                 mean_rate_hz(topic.count, span), topic.offered))
     return Summary(tuple(rows), {name: len(data) for name, data in bag.attachments.items()},
                    (max(spans) - min(spans)) / 1e9 if spans else 0.0,
                    sum(file.stat().st_size for file in bag.files), bag.warnings)
@@ -215,7 +246,7 @@ def _arrange_gyro(gyro: GyroSamples, times: list[Ints]) -> GyroSamples:
 
 def _order(times: list[Ints]) -> NDArray[np.intp] | None:
     """Return the order of recording, None where it is that of the file already."""
-    log_time = np.concatenate([np.empty(0, np.int64), *times])
+    log_time = np.concatenate([_NONE, *times])
     if (np.diff(log_time) >= 0).all():
         return None
     return np.argsort(log_time, kind='stable')

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from starcal_ros.messages.cdr_imu import IMU_TYPE
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE
 from starcal_ros.messages.topics import (ATTITUDE, CENTROIDS, IMAGES, IMU, RESIDUALS, SPOTS,
                                          TRUE_CENTROIDS)
-from starcal_ros.recording.bag import Bag, RecordedTopic, Span
+
+if TYPE_CHECKING:
+    from starcal_ros.recording.bag import Bag, RecordedTopic, Span
 
 _NOT_OF_SENSORS = tuple(topic.recorded for topic in (
     ATTITUDE, RESIDUALS, SPOTS, TRUE_CENTROIDS))

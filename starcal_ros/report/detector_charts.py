@@ -7,11 +7,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 import plotly.graph_objects as go
-from scipy.stats import norm
 
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.distributions import normal_cdf
 from starcal_ros.filter.offline import Residuals
 from starcal_ros.report.chart import RED, Chart, chart
 
@@ -53,7 +53,7 @@ def residual_histograms(stars: Residuals) -> list[Chart]:
     edges = np.linspace(-_REACH, _REACH, _BINS + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     scaled = (stars.residual / stars.sigma[:, None])[stars.accepted]
-    expected = len(scaled) * np.diff(norm.cdf(edges))
+    expected = len(scaled) * np.diff(normal_cdf(edges))
     charts = []
     for axis, values in zip('uv', scaled.T):
         count, _ = np.histogram(values, edges)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 import plotly.graph_objects as go
-from scipy.stats import chi2
 
 from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.distributions import chi2_ppf
 from starcal_ros.core.units import NS
 from starcal_ros.filter.offline import History
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, UNIT
@@ -54,7 +54,7 @@ def consistency(history: History) -> tuple[Chart, str]:
     freedom = 2 * history.used[seen]
     ratio = history.nis[seen] / freedom
     tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = (chi2.ppf(p, freedom) / freedom for p in (tail, 1.0 - tail))
+    low, high = (chi2_ppf(p, freedom) / freedom for p in (tail, 1.0 - tail))
     inside = np.mean((ratio >= low) & (ratio <= high))
     rows = thinned(len(ratio))
     x = _single(minutes(history)[seen][rows])

@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from starcal_ros import calibration
 from starcal_ros.calibration.method import CameraMethod
@@ -32,6 +31,7 @@ from starcal_ros.calibration.methods.bundle import Bundle
 from starcal_ros.config.models import detector, nominal_camera, observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.distributions import chi2_ppf
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import LENS
@@ -179,7 +179,7 @@ def _agree(camera: CameraEstimate, better: CameraEstimate) -> bool:
     scale = np.sqrt(np.diag(covariance))
     away /= scale
     return bool(away @ np.linalg.solve(covariance / np.outer(scale, scale), away)
-                < chi2.ppf(_AGREE, free.sum()))
+                < chi2_ppf(_AGREE, free.sum()))
 
 
 def identify(gyro: GyroSamples, frames: Frames, camera: CameraEstimate, scenario: Scenario,

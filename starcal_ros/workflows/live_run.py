@@ -8,12 +8,10 @@ No rclpy here: the nodes are processes of their own, started and ended as a user
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from importlib.util import find_spec
 import os
 from pathlib import Path
 import signal
 import subprocess
-import sys
 import time
 from typing import Any
 
@@ -29,6 +27,7 @@ from starcal_ros.messages import conventions, topics
 from starcal_ros.recording.bag import open_bag
 from starcal_ros.recording.mcap_tail import McapTail
 from starcal_ros.recording.writer import typestore
+from starcal_ros.workflows.node_program import NodeError, node_command
 
 RECORDING, RESULT, FIGURE, REPORT, PARAMETERS = (
     'run.mcap', 'result.json', 'convergence.png', 'report.html', 'demo.yaml')
@@ -36,30 +35,6 @@ FILES = (RECORDING, RESULT, FIGURE, REPORT, PARAMETERS)
 _SIMULATORS = ('star_tracker_sim', 'gyro_sim')
 _QUIET = ('--log-level', 'gyro_sim:=warn')     # its percentages, beside our progress
 _END_S = 30.0           # time that a node may take to end
-
-
-class NodeError(RuntimeError):
-    """A node ended as it should not; the message names it."""
-
-
-def node_command(name: str, parameters: Mapping[str, object], params_file: Path | None = None
-                 ) -> list[str]:
-    """Return the command line of a node of the suite.
-
-    Raises
-    ------
-    NodeError
-        Where there is no ROS 2.
-    """
-    if find_spec('rclpy') is None:
-        raise NodeError("no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'")
-    command = [sys.executable, '-m', 'starcal_ros.nodes.programs', name, '--ros-args']
-    if params_file is not None:
-        command += ['--params-file', str(params_file)]
-    for key, value in parameters.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        command += ['-p', f'{key}:={text}']
-    return command
 
 
 def run_live(scenario: Scenario, folder: Path,

@@ -67,7 +67,8 @@ NOT_YET = 3             # after the 20 s of these recordings
 def assert_refused(done, command, *culprits, status=2):
     """Check the exit status and the one line of complaint."""
     assert done.status == status, done.err
-    lines = [line for line in done.err.splitlines() if line.startswith(f'starcal {command}: ')]
+    lines = [line for line in done.err.splitlines()
+             if line.startswith(f'starcal {command}: error: ')]
     assert len(lines) == 1
     assert done.err.rstrip().splitlines()[-1] == lines[0]
     for culprit in culprits:
@@ -119,7 +120,7 @@ def test_exit_status_reaches_the_shell(tmp_path):
                           cwd=tmp_path, env={'PYTHONPATH': str(TOP)}, text=True,
                           capture_output=True)
     assert (done.returncode, done.stdout) == (2, '')
-    assert done.stderr.startswith('starcal info: missing.mcap does not exist')
+    assert done.stderr.startswith('starcal info: error: missing.mcap does not exist')
     assert done.stderr.count('\n') == 1
 
 

@@ -111,7 +111,7 @@ def test_an_output_that_is_full_or_closed_is_said_in_one_line(tmp_path):
     with open('/dev/full', 'w') as full:
         done = run('info', path, stdout=full)
     assert (done.returncode, done.stderr) == (
-        1, 'starcal info: standard output: No space left on device\n')
+        1, 'starcal info: error: standard output: No space left on device\n')
 
 
 def test_a_name_that_is_not_UTF_8_is_shown_with_its_bytes(tmp_path):

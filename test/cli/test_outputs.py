@@ -180,7 +180,7 @@ def test_a_full_disk_ends_a_simulation_in_words_and_leaves_nothing(tmp_path):
     path = tmp_path / 'run.mcap'
     status, line = on_a_full_disk(64, 'simulate', '--out', path, '--duration', 200)
     assert (status, line) == (
-        1, f'starcal simulate: {path}: cannot be written: File too large')
+        1, f'starcal simulate: error: {path}: cannot be written: File too large')
     assert os.listdir(tmp_path) == []
 
 
@@ -194,7 +194,7 @@ def test_a_full_disk_ends_a_calibration_in_words_and_leaves_no_half(source, tmp_
     status, line = on_a_full_disk(kilobytes, 'calibrate', source, *words, option,
                                   tmp_path / name)
     assert status == 1
-    assert line.startswith(f'starcal calibrate: {tmp_path / name}')
+    assert line.startswith(f'starcal calibrate: error: {tmp_path / name}')
     assert line.endswith(': cannot be written: File too large')
     left = {path.name for path in tmp_path.rglob('*') if path.is_file()}
     assert left == (set() if kilobytes < 64 else {'r.json'})

@@ -623,6 +623,7 @@ def test_the_summary_of_a_database_is_that_of_the_same_messages_in_mcap(tmp_path
                                              storage_plugin=storage))
                   for storage in rosbag2.StoragePlugin)
     assert one.topics == other.topics and one.duration_s == other.duration_s
+    assert [row.qos for row in one.topics] == [row.qos for row in other.topics]
 
 
 def test_batches_of_equal_time_are_written_in_the_order_given(tmp_path):

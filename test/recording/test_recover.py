@@ -187,7 +187,7 @@ def test_what_holds_nothing_is_refused(tmp_path, content, status, capsys):
     path = tmp_path / 'run.mcap'
     path.write_bytes(content)
     assert main(['recover', str(path), '--out', str(tmp_path / 'out.mcap')]) == status
-    assert capsys.readouterr().err.startswith('starcal recover: ')
+    assert capsys.readouterr().err.startswith('starcal recover: error: ')
     assert [*tmp_path.iterdir()] == [path]
 
 

@@ -23,7 +23,7 @@ from starcal_ros.filter.states import N_STATES, STATE_NAMES
 from starcal_ros.messages import conventions
 from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
-from starcal_ros.workflows import live_run
+from starcal_ros.workflows import node_program
 
 SCENARIO = TAN2018.replace({
     'simulation.duration_s': 20.0, 'simulation.real_time_factor': 0.0,
@@ -148,7 +148,7 @@ def shown(tmp_path_factory, processes):
     parameters = tmp_path_factory.mktemp('watch') / 'scenario.yaml'
     parameters.write_text(parameter_file.dump(SCENARIO))
     estimator, *simulators = (
-        processes(live_run.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
+        processes(node_program.node_command(name, {}, parameters), stderr=subprocess.DEVNULL)
         for name in ('estimator', 'star_tracker_sim', 'gyro_sim'))
     assert [simulator.wait(PATIENCE_S) for simulator in simulators] == [0, 0]
     ours, theirs = pty.openpty()
@@ -209,7 +209,7 @@ def test_tolerances_are_those_of_the_diagnostics():
 
 
 def test_without_ros_the_command_says_what_is_missing(monkeypatch, capsys):
-    monkeypatch.setattr(live_run, 'find_spec', lambda name: None)
+    monkeypatch.setattr(node_program, 'find_spec', lambda name: None)
     assert cli.main(['watch']) == 1
     assert "starcal watch: no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'" \
         in ' '.join(capsys.readouterr().err.split())

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.distributions import normal_cdf
 from starcal_ros.reproduction import traces
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import NOT_STATED
@@ -37,7 +37,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
                  (name, 'sigma', 'px', *residual.std(axis=0).tolist(), spread)]
         rows += [(name, f'beyond {k} sigma', '%',
                   *(100.0 * (abs(residual) > k * sigma).mean(axis=0)).tolist(),
-                  200.0 * float(norm.sf(k))) for k in (1, 2, 3)]
+                  200.0 * float(normal_cdf(-k))) for k in (1, 2, 3)]
         panels += [_panel(f'{axis}, stars {name}', residual[:, k], spread)
                    for k, axis in enumerate('uv')]
     return Outcome(f'T18 Fig. 7, distributions of the reprojection errors, {runs} runs', COLUMNS,
@@ -50,4 +50,4 @@ def _panel(title: str, residual: Array, sigma: float) -> Panel:
     count, _ = np.histogram(residual, edges)
     return Panel(title, 'measured minus predicted [px]', 'stars', (
         Curve(middle, count.astype(np.float64), 'found', 'bars'),
-        Curve(middle, len(residual) * np.diff(norm.cdf(edges / sigma)), 'expected', 'limit')))
+        Curve(middle, len(residual) * np.diff(normal_cdf(edges / sigma)), 'expected', 'limit')))

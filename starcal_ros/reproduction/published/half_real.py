@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.distributions import normal_cdf
 from starcal_ros.filter import offline
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.calibrator import Calibrator
@@ -116,5 +116,5 @@ def _histograms(name: str, history: History) -> list[Panel]:
     scaled = (stars.residual / stars.sigma[:, None])[stars.accepted]
     return [Panel(f'{name}, {axis}', 'residual [sigma of the centroid]', 'stars', (
         Curve(middle, np.histogram(part, edges)[0].astype(float), style='bars'),
-        Curve(middle, len(part) * np.diff(norm.cdf(edges)), 'Gaussian', 'limit')))
+        Curve(middle, len(part) * np.diff(normal_cdf(edges)), 'Gaussian', 'limit')))
         for axis, part in zip('uv', scaled.T)]

@@ -25,7 +25,7 @@ from starcal_ros.filter.verdict import CONVERGED, INCONSISTENT, LOST
 from starcal_ros.reproduction import wrong_models
 from starcal_ros.reproduction.outcome import Outcome
 from starcal_ros.reproduction.wrong_models import CLEAN, ROWS, WrongModel
-from starcal_ros.workflows.live_run import NodeError
+from starcal_ros.workflows.node_program import NodeError
 
 RUNS = 20
 CLEAN_RUNS = 10         # for each run of a row
