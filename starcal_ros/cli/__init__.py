@@ -28,6 +28,7 @@ COMMANDS = {
     'intrinsics': 'calibrate the camera alone',
     'bootstrap': 'calibrate without knowing camera or stars',
     'allan': 'noise of a gyro at rest',
+    'config': 'make, check and explain parameter files',
     'montecarlo': 'run a scenario many times',
     'reproduce': "compare with a paper's table or figure",
     'play': 'publish a recording again over ROS 2',

@@ -65,22 +65,34 @@ class AugmentConfig:
         'sky of t + tau', 's', _TINY, 1.0)] = None
 
 
-def _initial_sigma() -> SigmaConfig:
-    return SigmaConfig(gyro_bias_deg_h=0.1, fixed_angles_arcsec=600.0, principal_point_px=20.0,
-                       focal_length_mm=0.2, k1=1e-3, k2=1e-5, p1=1e-4, p2=1e-4)
+@dataclass(frozen=True)
+class InitialSigmaConfig(SigmaConfig):
+    """How well each kind of calibrated state is known before the data, one standard deviation."""
 
 
-def _tolerance() -> SigmaConfig:
-    return SigmaConfig(gyro_bias_deg_h=2e-3, fixed_angles_arcsec=5.0, principal_point_px=0.1,
-                       focal_length_mm=2e-4, k1=2e-6, k2=2e-7, p1=1e-6, p2=1e-6)
+@dataclass(frozen=True)
+class ToleranceConfig(SigmaConfig):
+    """How small a standard deviation must be before a state counts as known."""
+
+
+def _initial_sigma() -> InitialSigmaConfig:
+    return InitialSigmaConfig(
+        gyro_bias_deg_h=0.1, fixed_angles_arcsec=600.0, principal_point_px=20.0,
+        focal_length_mm=0.2, k1=1e-3, k2=1e-5, p1=1e-4, p2=1e-4)
+
+
+def _tolerance() -> ToleranceConfig:
+    return ToleranceConfig(
+        gyro_bias_deg_h=2e-3, fixed_angles_arcsec=5.0, principal_point_px=0.1,
+        focal_length_mm=2e-4, k1=2e-6, k2=2e-7, p1=1e-6, p2=1e-6)
 
 
 @dataclass(frozen=True)
 class EstimatorConfig:
     """The 16-state filter."""
 
-    initial_sigma: SigmaConfig = field(default_factory=_initial_sigma)
-    tolerance: SigmaConfig = field(default_factory=_tolerance)
+    initial_sigma: InitialSigmaConfig = field(default_factory=_initial_sigma)
+    tolerance: ToleranceConfig = field(default_factory=_tolerance)
     process_noise: ProcessNoiseConfig = field(default_factory=ProcessNoiseConfig)
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     feedback: Annotated[bool, Spec(

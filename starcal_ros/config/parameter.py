@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a parameter is: its type, unit, range and text, and the errors of a wrong value.
 
-A group of parameters is a dataclass whose fields are ``Annotated[type, Spec(...)]``; `declared`
-lists them. A field of type ``T | None`` may be left out.
+A group of parameters is a dataclass whose fields are ``Annotated[type, Spec(...)]`` and whose
+docstring says what it is for; `declared` lists the parameters, `groups` the groups. A field of
+type ``T | None`` may be left out.
 """
 
 from __future__ import annotations
@@ -64,6 +65,23 @@ class Parameter:
         element: type = typing.get_args(self.kind)[0] if self.is_array else self.kind
         return element
 
+    @property
+    def type_name(self) -> str:
+        """The type in words, as in ``float`` or ``list of 3 float``."""
+        name = self.element.__name__
+        many = f'{self.spec.length} ' if self.spec.length else ''
+        return f'list of {many}{name}' if self.is_array else name
+
+    @property
+    def allowed(self) -> str:
+        """What is allowed, in words; '' for anything of the type."""
+        spec = self.spec
+        if spec.choices:
+            return ', '.join(spec.choices)
+        if self.element in (int, float):
+            return f'{spec.low:.15g} to {spec.high:.15g}'
+        return ''
+
     def convert(self, key: str, value: Any) -> Any:
         """Return the value in its own type, lists as tuples; raise ConfigError otherwise."""
         if self.is_array and isinstance(value, (list, tuple)):
@@ -121,6 +139,16 @@ def declared(group: type, prefix: str = '', default: Any = None
         if optional:
             base = next(arg for arg in typing.get_args(base) if arg is not types.NoneType)
         yield key, Parameter(base, optional, value, spec)
+
+
+def groups(default: Any, prefix: str = '') -> Iterator[tuple[str, str]]:
+    """Yield the groups of parameters in an instance, by dotted name, and what they are for."""
+    for item in dataclasses.fields(default):
+        value = getattr(default, item.name)
+        if dataclasses.is_dataclass(value):
+            text = (type(value).__doc__ or '').partition('\n')[0]
+            yield prefix + item.name, text.rstrip('.').replace('``', '`')
+            yield from groups(value, f'{prefix}{item.name}.')
 
 
 def _default(item: dataclasses.Field[Any]) -> Any:

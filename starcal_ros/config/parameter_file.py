@@ -19,12 +19,21 @@ import yaml
 from starcal_ros.config import rcl_yaml
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.rcl_yaml import Section
-from starcal_ros.config.scenario import Scenario, from_flat
+from starcal_ros.config.scenario import Scenario, from_flat, parameters, unknown
 from starcal_ros.files.documents import DocumentError, bounded_yaml
 
 NODES = ('star_tracker_sim', 'gyro_sim', 'estimator', 'intrinsics_estimator',
          'centroid_extractor', 'star_identifier', 'recorder', 'player')
 """The nodes of the suite that have parameters."""
+
+
+class ParameterFileError(ConfigError):
+    """What is wrong with a parameter file; `errors` has each thing by itself."""
+
+    def __init__(self, source: str, *errors: str) -> None:
+        super().__init__(f'{source}: {errors[0]}' if len(errors) == 1 else '\n  '.join(
+            [f'{source}: {len(errors)} errors:', *errors]))
+        self.errors = errors
 
 
 @dataclass(frozen=True)
@@ -73,8 +82,7 @@ def read(text: str, source: str, nodes: Sequence[str] = ('estimator',),
     except ConfigError as error:
         errors += error.errors
     if errors:
-        raise ConfigError(f'{source}: {errors[0]}' if len(errors) == 1 else '\n  '.join(
-            [f'{source}: {len(errors)} errors:', *errors]))
+        raise ParameterFileError(source, *errors)
     return Reading(scenario, tuple(_notices(sections, names, scenario, source)))
 
 
@@ -93,6 +101,37 @@ def read_file(path: str | Path, nodes: Sequence[str] = ('estimator',),
         reason = error.strerror if isinstance(error, OSError) else 'not a text file'
         raise ConfigError(f'{path}: cannot be read: {reason}') from None
     return read(text, str(path), nodes, namespace)
+
+
+def value(key: str, text: str) -> Any:
+    """Return the value of a parameter from a text, as it stands in a file; a float needs no point.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such parameter, or it can not have this value.
+    """
+    if key not in parameters():
+        raise ConfigError(unknown(key))
+    parameter = parameters()[key]
+    try:
+        with bounded_yaml(text):
+            sections, errors = rcl_yaml.read(f'/**: {{{rcl_yaml.PARAMETERS}: {{{key}: {text}}}}}')
+    except DocumentError as error:
+        raise ConfigError(f'{key}: got {text!r}: {error}') from None
+    if errors or not sections or key not in sections[0].values:
+        raise ConfigError(f'{key}: got {text!r}, needs a {parameter.type_name}')
+    found = sections[0].values[key]
+    if parameter.element is float:
+        found = ([_as_float(item) for item in found] if isinstance(found, list)
+                 else _as_float(found))
+    found = parameter.convert(key, found)
+    parameter.check(key, found)
+    return found
+
+
+def _as_float(value: Any) -> Any:
+    return float(value) if type(value) is int else value
 
 
 def parse(text: str, source: str) -> Scenario:

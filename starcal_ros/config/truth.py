@@ -43,6 +43,11 @@ class TrueCameraConfig:
 
 
 @dataclass(frozen=True)
+class TrueMountingConfig(MountingConfig):
+    """True rotation from the gyro axes to the star tracker; left out, it is the nominal one."""
+
+
+@dataclass(frozen=True)
 class TrueGyroConfig:
     """The gyro that the simulators use."""
 
@@ -84,10 +89,13 @@ class TrueObserverConfig:
 
 @dataclass(frozen=True)
 class TruthConfig:
-    """What the simulators use in place of the nominal values; `default_truth` adds the errors."""
+    """What the simulators use in place of the nominal values, and which errors they add.
+
+    Here without the errors, which `default_truth` adds.
+    """
 
     camera: TrueCameraConfig = field(default_factory=TrueCameraConfig)
-    mounting: MountingConfig = field(default_factory=MountingConfig)
+    mounting: TrueMountingConfig = field(default_factory=TrueMountingConfig)
     gyro: TrueGyroConfig = field(default_factory=TrueGyroConfig)
     star_tracker: TrueStarTrackerConfig = field(default_factory=TrueStarTrackerConfig)
     observer: TrueObserverConfig = field(default_factory=TrueObserverConfig)
@@ -139,7 +147,7 @@ def _default(found: tuple[ModuleType, ...]) -> TruthConfig:
     joined = {name: _joined(name, group) for name, group in parts.items()}
     made: type[TruthConfig] = make_dataclass(
         TruthConfig.__name__, [(name, type(group), group) for name, group in joined.items()],
-        bases=(TruthConfig,), frozen=True)
+        bases=(TruthConfig,), frozen=True, namespace={'__doc__': TruthConfig.__doc__})
     return made()
 
 
@@ -153,4 +161,5 @@ def _joined(name: str, parts: Sequence[type[Any]]) -> Any:
                                   f'{declared_by[item.name]} and by {part.__module__}')
             declared_by[item.name] = part.__module__
     # Of several bases dataclass takes the fields of the last first.
-    return make_dataclass(parts[0].__name__, [], bases=tuple(reversed(parts)), frozen=True)()
+    return make_dataclass(parts[0].__name__, [], bases=tuple(reversed(parts)), frozen=True,
+                          namespace={'__doc__': parts[0].__doc__})()

@@ -160,6 +160,7 @@ def test_every_program_has_help(name, word):
     assert f'ros2 run starcal_ros {name} ' in process.stdout
     assert '--params-file' in process.stdout and 'tan2018.yaml' in process.stdout
     assert 'ros2 param describe' in process.stdout
+    assert 'starcal config list' in process.stdout and 'parameters.md' in process.stdout
 
 
 def test_defect_shows_its_traceback_after_the_node_was_closed():

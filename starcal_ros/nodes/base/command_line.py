@@ -47,8 +47,10 @@ def help_text(module: str, doc: str | None, takes: str = '') -> str:
     return (f'usage: ros2 run starcal_ros {name} {takes}{_ROS_ARGUMENTS}\n\n'
             f'{cleandoc(doc or "")}\n\n'
             f'An example of a parameter file: {config_file("tan2018.yaml")}\n'
-            f'All parameters of the running node: ros2 param list NODE;\n'
-            f'text, unit and range of one: ros2 param describe NODE NAME')
+            f'To write one: starcal config new; what is wrong in one: starcal config check FILE\n'
+            f'All parameters: starcal config list, docs/parameters.md; of the running node:\n'
+            f'ros2 param list NODE; text, unit and range of one: starcal config describe NAME,\n'
+            f'or ros2 param describe NODE NAME')
 
 
 def refusal(given: list[str]) -> str:
