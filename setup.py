@@ -106,6 +106,8 @@ setup(
         'raw': ['rawpy>=0.21'],
         # The Allan deviation of a gyro: starcal allan.
         'allan': ['allantools>=2024.6'],
+        # Completion in a shell: eval "$(register-python-argcomplete starcal)".
+        'completion': ['argcomplete>=3.1'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
         # The documentation: make docs.
@@ -113,6 +115,7 @@ setup(
         # colcon runs the tests only where this extra exists and names pytest.
         'test': [
             'allantools>=2024.6',
+            'argcomplete>=3.1',
             'colcon-common-extensions',
             'distributed',
             'flake8',

@@ -13,6 +13,7 @@ import venv
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 import starcal_ros
 
@@ -153,3 +154,13 @@ def test_launch_file_loads(path):
     names = {entity.node_executable for entity in module.generate_launch_description().entities
              if hasattr(entity, 'node_executable')}
     assert 'estimator' in names <= set(EXECUTABLES)
+
+
+def test_the_citation_is_of_this_version():
+    citation = yaml.safe_load((TOP / 'CITATION.cff').read_text())
+    assert citation['cff-version'] == '1.2.0' and citation['message'] and citation['authors']
+    assert citation['version'] == starcal_ros.__version__
+    assert citation['license'] == ElementTree.parse(TOP / 'package.xml').findtext('license')
+    released = re.search(rf"^{re.escape(citation['version'])} \((\S+)\)",
+                         (TOP / 'CHANGELOG.rst').read_text(), re.MULTILINE)
+    assert str(citation['date-released']) == released[1]

@@ -23,8 +23,8 @@ ONLY = {'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srv
 """Endings of the names of libraries that one wing alone imports."""
 DISTRIBUTIONS = {'PIL': 'pillow', 'erfa': 'pyerfa', 'yaml': 'pyyaml'}
 """Names on PyPI of the libraries that are imported by another one."""
-LICENSED = ('*.py', '*.yaml', '*.xml', '*.cfg', '*.toml', '*.css', '*.js', '*.rviz', '.gitignore',
-            'Makefile', '.ci/run', 'bin/*')
+LICENSED = ('*.py', '*.yaml', '*.xml', '*.cfg', '*.toml', '*.css', '*.js', '*.rviz', '*.cff',
+            '.gitignore', 'Makefile', '.ci/run', 'bin/*')
 """Code and configuration: what takes a comment and is no prose."""
 FOLDERS = ('.ci', 'bench', 'bin', 'config', 'docs', 'examples', 'launch', 'scripts',
            'starcal_ros', 'test')

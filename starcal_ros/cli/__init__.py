@@ -1,5 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
+# PYTHON_ARGCOMPLETE_OK
 """The command ``starcal``, one file a sub-command.
 
 A sub-command is a name in `COMMANDS` and a module of this package that is called so, with
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import suppress
+import difflib
 from importlib import import_module
 import os
 import sys
@@ -67,8 +69,10 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument('--version', action='version',
                         version=f'starcal_ros {starcal_ros.__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
+    completed = os.environ.get('COMP_LINE') if '_ARGCOMPLETE' in os.environ else None
     words = sys.argv[1:] if arguments is None else arguments
-    given = next((word for word in words if not word.startswith('-')), '')
+    given = next((word for word in (words if completed is None else completed.split()[1:])
+                  if not word.startswith('-')), '')
     for name, text in COMMANDS.items():
         if name != given:
             commands.add_parser(name, help=text)
@@ -77,6 +81,11 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         command = commands.add_parser(name, help=text, description=module.DESCRIPTION)
         module.add_arguments(command)
         command.set_defaults(run=module.run, parser=command)
+    if completed is not None:
+        import argcomplete
+        argcomplete.autocomplete(parser)
+    if given not in COMMANDS and (near := difflib.get_close_matches(given, COMMANDS, n=1)):
+        parser.error(f'no command {given!r}; did you mean {near[0]}?')
     options, unknown = parser.parse_known_args(words)
     if unknown:
         options.parser.error(f'unrecognized arguments: {" ".join(unknown)}')

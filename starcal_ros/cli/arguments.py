@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+import difflib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,20 @@ SIMULATED = (*SIMULATORS, 'estimator')
 def add_bag(parser: argparse.ArgumentParser) -> None:
     """Add the recording."""
     parser.add_argument('bag', metavar='BAG', help='.mcap file or rosbag2 directory')
+
+
+def one_of(names: Sequence[str]) -> Callable[[str], str]:
+    """Return the type of an argument with choices: of a mistyped one it knows the nearest."""
+    def word(text: str) -> str:
+        if text not in names and (near := difflib.get_close_matches(text, names, n=1)):
+            raise argparse.ArgumentTypeError(f'invalid choice: {text!r}; did you mean {near[0]}?')
+        return text
+    return word
+
+
+def completed_by(action: argparse.Action, names: Callable[[], Iterable[str]]) -> None:
+    """Let a shell complete an argument with some names (argcomplete)."""
+    setattr(action, 'completer', lambda **_: names())
 
 
 def add_topics(parser: argparse.ArgumentParser, images: bool = True) -> None:

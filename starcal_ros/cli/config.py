@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import json
 from typing import Any
 
-from starcal_ros.cli import outputs
+from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import say, show
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError, groups
@@ -44,9 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                  'it asks for the class and for what a data sheet says. '
                  + ' '.join(f'{name}: {preset.title}.' for name, preset in PRESETS.items()), False)
     new.add_argument('preset', metavar='PRESET', nargs='?', choices=PRESETS,
+                     type=arguments.one_of([*PRESETS]),
                      help='class of the instrument: %(choices)s')
-    new.add_argument('--set', metavar='KEY=VALUE', action='append', default=[],
-                     help='another value of a parameter; may be given several times')
+    value = new.add_argument('--set', metavar='KEY=VALUE', action='append', default=[],
+                             help='another value of a parameter; may be given several times')
+    arguments.completed_by(value, lambda: (f'{key}=' for key in parameters()))
     new.add_argument('--out', metavar='FILE.yaml', help='file to write; default: print it')
     outputs.add_overwrite(new)
     check = action('check', 'tell what is wrong or odd in a file', 'Tell all errors of a '
@@ -58,10 +60,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     describe = action('describe', 'tell of a parameter or a group', 'Tell what a parameter means, '
                       'its type, unit and default, and what is allowed; or all of a group; or, '
                       'without NAME, which groups there are.')
-    describe.add_argument('name', metavar='NAME', nargs='?', help='as in camera.width, or camera')
+    name = describe.add_argument('name', metavar='NAME', nargs='?',
+                                 help='as in camera.width, or camera')
+    arguments.completed_by(name, lambda: (*parameters(), *dict(groups(Scenario()))))
     listing = action('list', 'list all parameters', 'List the parameters, all or those of a '
                      'group, with default, unit and what is allowed.')
-    listing.add_argument('name', metavar='GROUP', nargs='?', help='as in estimator.tolerance')
+    name = listing.add_argument('name', metavar='GROUP', nargs='?',
+                                help='as in estimator.tolerance')
+    arguments.completed_by(name, lambda: dict(groups(Scenario())))
     action('schema', 'print the JSON schema of a file', 'Print the JSON schema of a parameter '
            'file, with which an editor completes and checks it.', False)
 

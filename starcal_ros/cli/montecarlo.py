@@ -10,6 +10,7 @@ from pathlib import Path
 
 from starcal_ros.cli import arguments, cluster, outputs
 from starcal_ros.cli.terminal import progress, show, show_json
+from starcal_ros.config.scenario import parameters
 
 DESCRIPTION = ('Simulate and estimate a scenario with many seeds and compare the errors with the '
                'covariance that the filter states and with the Cramér-Rao bound. A killed study '
@@ -21,8 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_config(parser)
     parser.add_argument('--runs', metavar='N', type=int, default=100,
                         help='runs, at each value of a sweep (default: %(default)s)')
-    parser.add_argument('--sweep', metavar='KEY=V1,V2,…',
-                        help='a parameter and the values that it takes one after the other')
+    sweep = parser.add_argument(
+        '--sweep', metavar='KEY=V1,V2,…',
+        help='a parameter and the values that it takes one after the other')
+    arguments.completed_by(sweep, lambda: (f'{key}=' for key in parameters()))
     arguments.add_duration(parser)
     parser.add_argument('--verdicts', action='store_true',
                         help='judge each run as starcal calibrate does, which takes as long again')

@@ -26,7 +26,8 @@ DESCRIPTION = ('Run what a table or figure of a paper was made from, and put its
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
-    parser.add_argument('name', metavar='NAME', choices=[*published.names(), 'all'],
+    names = [*published.names(), 'all']
+    parser.add_argument('name', metavar='NAME', choices=names, type=arguments.one_of(names),
                         help='%(choices)s')
     arguments.add_config(parser)
     parser.add_argument('--runs', '--rounds', metavar='N', type=int, dest='runs',

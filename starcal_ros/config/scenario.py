@@ -182,8 +182,12 @@ def _errors(check: Callable[..., object], *arguments: Any) -> tuple[str, ...]:
 
 def unknown(key: str) -> str:
     """Return what to say of a name that no parameter has: which has nearly that name."""
-    near = difflib.get_close_matches(key, parameters(), n=1)
-    return f'{key}: unknown parameter' + (f'; did you mean {near[0]}?' if near else '')
+    last = key.rpartition('.')[2]
+    near = ([known for known in parameters() if known.endswith(f'.{key}')]
+            or difflib.get_close_matches(key, parameters(), n=1)
+            or [known for known in parameters() if known.endswith(f'.{last}')])
+    return f'{key}: unknown parameter' + (f'; did you mean {" or ".join(near[:3])}?' if near
+                                          else '')
 
 
 def _replace(default: Any, tree: Mapping[str, Any]) -> Any:

@@ -101,9 +101,34 @@ def test_help_of_every_command_says_what_it_does(starcal):
         assert re.search(rf'^ +{name}\s+\w', overview, re.MULTILINE), name
 
 
-def test_unknown_command_is_named(starcal):
-    done = starcal('calibarte')
-    assert done.status == 2 and "'calibarte'" in done.err
+@pytest.mark.parametrize('words, said', [
+    (['calibarte'], "starcal: error: no command 'calibarte'; did you mean calibrate?"),
+    (['xyzzy'], "'xyzzy'"),
+    (['reproduce', 'tabel4'], "invalid choice: 'tabel4'; did you mean table4?"),
+    (['reproduce', 'xyzzy'], "'xyzzy'"),
+    (['montecarlo', '--sweep', 'star_traker.exposure_s=0.1,0.2'],
+     'montecarlo: error: star_traker.exposure_s: unknown parameter; did you mean '
+     'star_tracker.exposure_s?'),
+    (['info', '--chek', 'run.mcap'], 'starcal info: error: unrecognized arguments: --chek')])
+def test_what_is_mistyped_is_named_with_what_is_near(starcal, words, said):
+    done = starcal(*words)
+    assert done.status == 2 and said in done.err
+    assert done.err.count('did you mean') == said.count('did you mean')
+
+
+@pytest.mark.parametrize('line, offered', [
+    ('starcal cal', ['calibrate ']), ('starcal calibrate --ado', ['--adopt ']),
+    ('starcal config desc', ['describe ']),
+    ('starcal config describe gyro.ar', ['gyro.arw_deg_sqrt_h ']),
+    ('starcal config new m', ['mems ']), ('starcal info --che', ['--check '])])
+def test_a_shell_completes(tmp_path, line, offered):
+    """As the function that register-python-argcomplete gives a shell calls it."""
+    pytest.importorskip('argcomplete')
+    out = tmp_path / 'out'
+    subprocess.run([sys.executable, '-m', 'starcal_ros.cli'], check=True, cwd=tmp_path, env={
+        'PYTHONPATH': str(TOP), '_ARGCOMPLETE': '1', '_ARGCOMPLETE_STDOUT_FILENAME': str(out),
+        'COMP_LINE': line, 'COMP_POINT': str(len(line)), '_ARGCOMPLETE_IFS': '\n'})
+    assert out.read_text().split('\n') == offered
 
 
 def test_no_command_is_an_error_that_shows_the_usage(starcal):
@@ -401,6 +426,15 @@ def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path
     better = json.loads((tmp_path / 'result.json').read_text())
     assert better['provenance']['began_with'] == str(folder)
     assert (np.diagonal(better['covariance'])[9:] < np.diagonal(outcome['covariance'])[9:]).all()
+
+
+def test_json_is_what_the_file_holds_and_nothing_else(starcal, bag, tmp_path):
+    out = tmp_path / 'result.json'
+    for words in (['calibrate', bag], ['intrinsics', bag],
+                  ['montecarlo', '--runs', '1', '--duration', '20']):
+        done = starcal(*words, '--out', out, '--overwrite', '--json')
+        assert done.status in (0, NOT_YET, 4), done.err
+        assert json.loads(done.out) == json.loads(out.read_text())
 
 
 def test_export_to_a_file_is_wrong_input(starcal, bag, tmp_path):

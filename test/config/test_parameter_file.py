@@ -143,6 +143,11 @@ def test_a_dotted_name_is_the_path_to_its_field(tan2018):
     ('camera: {focal_lenght_mm: 25.0}',
      'camera.focal_lenght_mm: unknown parameter; did you mean camera.focal_length_mm?'),
     ('qwertyuiop: 1', 'qwertyuiop: unknown parameter'),
+    ('centroid_sigma_px: 0.1', 'centroid_sigma_px: unknown parameter; did you mean '
+     'star_tracker.centroid_sigma_px or truth.star_tracker.centroid_sigma_px?'),
+    ('trackr: {centroid_sigma_px: 0.1}',
+     'trackr.centroid_sigma_px: unknown parameter; did you mean '
+     'star_tracker.centroid_sigma_px?'),
     ('camera: 5', 'camera: unknown parameter'),
     ('gyro: {rate_hz: 100}', 'gyro.rate_hz: got 100 (int), needs a float; write 100.0'),
     ('camera: {width: 1024.0}', 'camera.width: got 1024.0 (float), needs a int'),
