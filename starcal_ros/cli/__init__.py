@@ -29,6 +29,7 @@ COMMANDS = {
     'calibrate': 'calibrate a recording',
     'intrinsics': 'calibrate the camera alone',
     'bootstrap': 'calibrate without knowing camera or stars',
+    'compare': 'tell whether calibrations agree',
     'allan': 'noise of a gyro at rest',
     'config': 'make, check and explain parameter files',
     'montecarlo': 'run a scenario many times',

@@ -11,6 +11,7 @@ from typing import Any
 from starcal_ros import calibration
 from starcal_ros.cli import arguments, outputs, still_images
 from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
+from starcal_ros.config.models import detector
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import parameters
 from starcal_ros.core.camera import INTRINSICS
@@ -123,6 +124,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
             f'no camera from {len(frames)} frames with {len(frames.catalog_id)} stars, '
             f'{(frames.catalog_id > 0).sum()} of them identified')
     outcome = {'method': scenario.intrinsics.method, **result.camera(estimate),
+               'detector': result.of_detector(detector(scenario.camera)),
                **judged.as_dict(), 'provenance': result.provenance(scenario, recording)}
     truth, doubts = attached_truth(recording.attachments)
     for text in doubts:

@@ -15,7 +15,7 @@ import starcal_ros
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
-from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.camera import INTRINSICS_KEYS, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.files.output import write_text
 from starcal_ros.filter import verdict
@@ -95,6 +95,7 @@ def result(calibrator: Calibrator, provenance: dict[str, str],
             'sigma_arcsec': sigma[PSI].tolist(),
         },
         'covariance': belief.covariance.tolist(),
+        'detector': of_detector(calibrator.filter.detector),
         'reprojection_rms_px': calibrator.reprojection_rms_px.tolist(),
         'attitude_final': {
             'stamp_ns': stamp_ns,
@@ -146,6 +147,12 @@ def camera(estimate: CameraEstimate) -> dict[str, Any]:
         'covariance': estimate.covariance.tolist(),
         'counts': {'frames': estimate.frames, 'stars': estimate.stars},
     }
+
+
+def of_detector(detector: Detector) -> dict[str, Any]:
+    """Return what the intrinsics are counted on: the pixels of a camera."""
+    return {'width': detector.width, 'height': detector.height,
+            'pixel_pitch_mm': detector.pitch_mm}
 
 
 def provenance(scenario: Scenario, recording: Recording) -> dict[str, str]:

@@ -51,7 +51,7 @@ def test_keys_are_those_of_the_interface(outcome):
     intrinsics = {'u0_px', 'v0_px', 'f_mm', 'k1', 'k2', 'p1', 'p2'}
     assert set(outcome) == {
         'intrinsics', 'intrinsics_sigma', 'gyro_bias_deg_h', 'gyro_bias_sigma_deg_h', 'mounting',
-        'covariance', 'reprojection_rms_px', 'attitude_final', 'verdict', 'converged',
+        'covariance', 'detector', 'reprojection_rms_px', 'attitude_final', 'verdict', 'converged',
         'consistency', 'variance_factor', 'changes', 'noise_levels', 'tolerance', 'advice',
         'not_told_apart', 'counts', 'provenance'}
     assert set(outcome['intrinsics']) == set(outcome['intrinsics_sigma']) == intrinsics
