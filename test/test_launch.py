@@ -101,7 +101,7 @@ def test_nodes_are_executables_in_the_namespace(entities):
         assert node.kwargs['package'] == 'starcal_ros'
         assert node.kwargs['executable'] in EXECUTABLES
         assert node.kwargs['namespace'].args == ('namespace',)
-        assert float(node.kwargs['sigterm_timeout']) >= 25.0    # longer than any waits to end
+        assert float(node.kwargs['sigterm_timeout']) >= 55.0    # longer than any waits to end
     assert 'estimator' in [node.kwargs['executable'] for node in nodes]
 
 

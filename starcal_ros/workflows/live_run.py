@@ -34,7 +34,7 @@ RECORDING, RESULT, FIGURE, REPORT, PARAMETERS = (
 FILES = (RECORDING, RESULT, FIGURE, REPORT, PARAMETERS)
 _SIMULATORS = ('star_tracker_sim', 'gyro_sim')
 _QUIET = ('--log-level', 'gyro_sim:=warn')     # its percentages, beside our progress
-_END_S = 30.0           # time that a node may take to end
+_END_S = 60.0           # time that a node may take to end
 
 
 def run_live(scenario: Scenario, folder: Path,

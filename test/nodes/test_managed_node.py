@@ -25,7 +25,9 @@ from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions, topics  # noqa: E402
-from starcal_ros.nodes.base.matched_subscription import MatchedSubscription  # noqa: E402
+from starcal_ros.nodes.base import run_loop  # noqa: E402
+from starcal_ros.nodes.base.matched_subscription import (BACKLOG_S,  # noqa: E402
+                                                         MatchedSubscription)
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
@@ -220,6 +222,21 @@ def test_subscription_that_has_ended_has_nothing_more_to_take(peer):
     publisher.publish(Imu())
     subscription.take_all()
     assert subscription.look_again() == 0 and len(heard) == subscription.received == 1
+
+
+def test_what_is_not_used_up_long_after_a_stop_is_dropped_and_counted(peer, monkeypatch, capfd):
+    heard = []
+    subscription = MatchedSubscription(peer.node, Imu, 'slow', heard.extend, raw=True, at_once=2)
+    publisher = peer.node.create_publisher(Imu, 'slow', 10)
+    peer.until(lambda: subscription.publishers and publisher.get_subscription_count())
+    for _ in range(5):
+        publisher.publish(Imu())
+    assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+    monkeypatch.setattr(run_loop, 'seconds_since_stop', lambda: BACKLOG_S + 1.0 if heard else 0.0)
+    subscription.take_all()
+    assert len(heard) == 2
+    assert '/slow: 3 messages that have come are not used' in capfd.readouterr().err
+    subscription.destroy()
 
 
 # A node whose transition fails; argv: the step, the error.

@@ -16,7 +16,7 @@ import signal
 from typing import Any
 
 STATUS_FAILED = 1       # of a node that could not go on; see `run_loop`
-IN_PEACE = {'sigterm_timeout': '30'}
+IN_PEACE = {'sigterm_timeout': '60'}
 """What launch is told of each node, which it would else kill 10 s after Ctrl-C: `ending`."""
 
 

@@ -23,6 +23,7 @@ from starcal_ros.nodes.base.qos import LATCHED, POLICIES, STREAM
 
 BATCH = 500                     # most messages of one drain: other callbacks get their turn
 _MOST_WAITING = 5000            # messages that Fast DDS keeps for a subscriber
+BACKLOG_S = 40.0                # after a stop, to use up what has come
 _LOOK_S = 0.25                  # between looks for messages that nobody announced
 _LOOKED_AT: WeakKeyDictionary[Node, list[MatchedSubscription]] = WeakKeyDictionary()
 
@@ -78,9 +79,20 @@ class MatchedSubscription:
         return self._subscription.get_publisher_count()
 
     def take_all(self) -> None:
-        """Hand over all that waits, now; not what a publisher adds in the meantime."""
+        """Hand over all that waits, now; not what a publisher adds in the meantime.
+
+        Where the process was asked to end BACKLOG_S ago, what is left is dropped, and that said.
+        """
         for _ in range(_MOST_WAITING // self._at_once):
+            if run_loop.seconds_since_stop() > BACKLOG_S:
+                break
             self._hand_over(self._take_waiting(self._at_once))
+        else:
+            return
+        if left := len(self._take_waiting(_MOST_WAITING)):
+            self._node.get_logger().error(
+                f'{self.topic}: {left} messages that have come are not used, as the node was '
+                f'asked to end {BACKLOG_S:.0f} s ago')
 
     def destroy(self) -> None:
         """End the subscription; there is nothing more to take then."""

@@ -20,7 +20,7 @@ from starcal_ros.nodes.base.matched_subscription import BATCH
 
 Item = tuple[int, FlowPublisher, Any]       # stamp [ns], where, message or CDR bytes
 
-DRAIN_S = 10.0                  # after a stop, for subscribers to take what was published
+DRAIN_S = 30.0                  # after a stop, for subscribers to take what was published
 _PERIOD_S = 0.005
 _TURN_S = 0.1                   # longest turn: signals, services and parameters get theirs
 _ALWAYS_DUE = 2**63 - 1
