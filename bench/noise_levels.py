@@ -27,6 +27,7 @@ from starcal_ros.filter.noise import Noise
 from starcal_ros.filter.noise_levels import CENTROIDS, GYRO, NoiseLevel
 from starcal_ros.filter.noise_search import levels
 from starcal_ros.filter.states import N_STATES
+from starcal_ros.measurements.message_source import InMemory
 from starcal_ros.results.result import word
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
@@ -72,7 +73,7 @@ def run(scenario: Scenario, seed: int, sigma: float, walk: float
     gyro, tracker = sensors.gyro(simulated), sensors.star_tracker(simulated)
     samples, frames = gyro.next(gyro.count), tracker.next(tracker.count)
     frames = replace(frames, sigma=np.full_like(frames.sigma, 0.0))     # that is, as stated
-    ways = [('recording', Noise(stated, levels(samples, frames, stated)))]
+    ways = [('recording', Noise(stated, levels(InMemory(samples, frames), stated)))]
     for way, noise in [*ways, *([('live', None)] if walk == 1.0 else [])]:
         calibrator = Calibrator(stated, noise=noise)
         calibrator.add_gyro(samples)

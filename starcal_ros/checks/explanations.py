@@ -182,7 +182,7 @@ class _Rows(NamedTuple):
         """Return rows about those of the model, closer to each other; None if they are close."""
         found = self
         for effect in model.effects:
-            if effect.name == TIME_STEP and effect.at < _EVEN and self.time_apart > 1:
+            if effect.name == TIME_STEP and self.time_apart > 1:
                 even, apart = _about(int(self.time[effect.at]), self.time_apart, _EVEN)
                 found = found._replace(time=np.concatenate((even, self.time[_EVEN:])),
                                        time_apart=apart)
@@ -274,8 +274,9 @@ def _linear(turns: Turns, gyro: Gyro, C_sg: Array, at: Array, rows: _Rows) -> Co
     """
     middle = int((turns.begin_ns[0] + turns.end_ns[-1]) // 2)
 
-    stepped = [(turns.end_ns[row], at[_TIME_STEP + k]) for k, row in enumerate(rows.time)
-               if at[_TIME_STEP + k]]
+    # A step in a pause is before the whole interval that follows.
+    stepped = [((turns.end_ns if turns.chained[row] else turns.begin_ns)[row], at[_TIME_STEP + k])
+               for k, row in enumerate(rows.time) if at[_TIME_STEP + k]]
 
     def warp(stamp: Ints) -> Ints:
         moved = at[TIME] * 1e9 + at[DRIFT] * (stamp - middle)
@@ -304,7 +305,7 @@ def _linear(turns: Turns, gyro: Gyro, C_sg: Array, at: Array, rows: _Rows) -> Co
     X[..., STAMP_DRIFT] = by_drift - r
     for k, row in enumerate(rows.time):
         X[row:, :, _TIME_STEP + k] = by_time[row:]
-        X[row, :, _TIME_STEP + k] = by_end[row]
+        X[row, :, _TIME_STEP + k] = (by_end if turns.chained[row] else by_time)[row]
     for k, row in enumerate(rows.bias):
         after = slice(row, None)
         X[after, :, _BIAS_STEP + 3 * k:_BIAS_STEP + 3 * k + 3] = bias_turn[after]

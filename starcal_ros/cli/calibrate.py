@@ -78,15 +78,15 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     from starcal_ros import report
     from starcal_ros.filter import explanations, verdict
     from starcal_ros.filter.noise_levels import said_aloud
-    from starcal_ros.filter.offline import calibrate
+    from starcal_ros.filter.offline import calibrate_source
     from starcal_ros.filter.progress import Progress
-    from starcal_ros.recording import reader
+    from starcal_ros.recording.reader import CONFIG_ATTACHMENT
+    from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.results import export, initial, result
     from starcal_ros.results.attached_truth import attached_truth
-    with progress('reading') as on_progress:
-        recording = reader.read(bag, on_progress, choice=choice)
+    recording = RecordingStream(bag, choice=choice)
     contradictions = list(_contradictions(
-        recording.attachments.get(reader.CONFIG_ATTACHMENT), scenario))
+        recording.attachments.get(CONFIG_ATTACHMENT), scenario))
     for text in contradictions:
         say(f'warning: {text}')
     start = initial.initial_values(scenario, _saved(scenario))
@@ -97,21 +97,21 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
             say(f'warning: {text}')
         contradictions += denied
     with progress('calibrating') as on_progress:
-        calibrator, history = calibrate(
-            recording.gyro, recording.frames, start.scenario, on_progress, start.covariance)
+        calibrator, history = calibrate_source(
+            recording, start.scenario, on_progress, start.covariance)
     used, adopted = start.scenario, dict[str, str]()
     explained: explanations.Explanations | None = None
     if result.word(calibrator) == verdict.INCONSISTENT:
         with progress('explaining') as on_progress:
-            explained = explanations.explain(recording.gyro, recording.frames, used, calibrator,
-                                             start.covariance, on_progress)
+            explained = explanations.explain(recording, used, calibrator, start.covariance,
+                                             on_progress)
         if adopt and explained.to_adopt:
             used = used.replace(explained.to_adopt.values)
             adopted = {'adopted': '; '.join(explained.to_adopt.lines),
                        'adopted_config_sha256': used.sha256}
             with progress('calibrating') as on_progress:
-                calibrator, history = calibrate(
-                    recording.gyro, recording.frames, used, on_progress, start.covariance)
+                calibrator, history = calibrate_source(
+                    recording, used, on_progress, start.covariance)
     notices = [*recording.warnings, *start.notices, *calibrator.take_notices(),
                *said_aloud(calibrator.noise.levels())]
     for text in notices:

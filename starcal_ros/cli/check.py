@@ -15,7 +15,7 @@ from starcal_ros.files.output import write_text
 
 if TYPE_CHECKING:
     from starcal_ros.checks.check import Checked
-    from starcal_ros.recording.reader import Recording
+    from starcal_ros.recording.recording_stream import RecordingStream
 
 DESCRIPTION = ('Read from a recording, before any filter, what of its configuration is wrong: '
                'units, axes and mounting of the gyros, stamps and clocks, rates, noise, the '
@@ -37,15 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.checks.finding import proposed
-    from starcal_ros.recording import reader
+    from starcal_ros.recording.recording_stream import RecordingStream
     scenario = arguments.scenario_of(options.bag, options, ('estimator',))
     outputs.claim([options.write], [options.bag, options.config], options.overwrite)
-    choice = arguments.topics(options)
-    with progress('reading') as on_progress:
-        recording = reader.read(options.bag, on_progress, choice=choice)
+    recording = RecordingStream(options.bag, choice=arguments.topics(options))
+    checked = check_recording(recording, scenario)
     for text in recording.warnings:
         say(f'warning: {text}')
-    checked = check_recording(recording, scenario)
     show_json({'recording': str(options.bag), 'untold': list(checked.untold),
                'findings': [each.as_dict() for each in checked.findings]})
     _show(checked)
@@ -54,21 +52,20 @@ def run(options: argparse.Namespace) -> int:
     return _FOUND if checked.findings else 0
 
 
-def check_recording(recording: Recording, scenario: Scenario) -> Checked:
-    """Check what was read of a recording, with a progress bar."""
+def check_recording(recording: RecordingStream, scenario: Scenario) -> Checked:
+    """Check a recording, or parts of a long one, with a progress bar."""
     from starcal_ros.checks.check import check
     from starcal_ros.checks.frame_ids import of_frame_ids
     from starcal_ros.checks.stamps import LogTimes
-    from starcal_ros.recording import reader
-    from starcal_ros.recording.frame_ids import first_frame_id
-    logged = {topic.topic: LogTimes(topic.first_ns, topic.last_ns)
-              for topic in reader.summary(recording.path).topics}
-    ids = of_frame_ids(*(first_frame_id(recording.path, topic) if topic else None
-                         for topic in (recording.gyro_topic, recording.frames_topic)))
+    from starcal_ros.recording.excerpt import excerpt
+    logged = recording.span(recording.frames_topic)
     with progress('checking') as on_progress:
-        checked = check(recording.gyro, recording.frames, scenario,
-                        logged.get(recording.frames_topic), on_progress)
-    return checked.with_findings(ids)
+        messages = excerpt(recording)
+        checked = check(messages.gyro, messages.frames, scenario,
+                        LogTimes(*logged) if logged else None, on_progress)
+    return checked.with_findings(of_frame_ids(*(
+        recording.frame_ids.get(topic) for topic in (recording.gyro_topic,
+                                                     recording.frames_topic))))
 
 
 def _show(checked: Checked) -> None:

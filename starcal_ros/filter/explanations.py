@@ -35,6 +35,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
+from starcal_ros.filter import message_pass
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.changes import TOLD
@@ -45,7 +46,8 @@ from starcal_ros.filter.noise import Noise
 from starcal_ros.filter.noise_levels import CENTROIDS, GYRO, NoiseLevel
 from starcal_ros.filter.noise_search import Search
 from starcal_ros.filter.states import CALIBRATED
-from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.measurements.message_source import InMemory, MessageSource, about, extent
+from starcal_ros.measurements.samples import Frames
 
 STRETCHES_S = (900.0, 3600.0)
 """Parts of the recording that extensions are tried on: the first that is long enough [s]."""
@@ -60,7 +62,6 @@ _TIME_S, _MATRIX_PPM = 0.01, 500.0      # initial sigmas, at least
 _WIDE = 3.0                             # sigma over the size that the bank has found
 _SIGMA = 1.1                            # ratio of two sigmas that makes no difference
 _POINTS = 0.25                          # of the best gain of the bank, for one to point
-_BEFORE_NS = 10**8                      # of gyro before the first frame
 _TURNS = ('mean of the turns', 'turns along the rate')
 
 
@@ -158,14 +159,14 @@ class Explanations:
             'equal in effect' if self.alike else 'the data do not tell them apart')
 
 
-def explain(gyro: GyroSamples, frames: Frames, scenario: Scenario, calibrated: Calibrator,
+def explain(source: MessageSource, scenario: Scenario, calibrated: Calibrator,
             covariance: Array | None = None,
             on_progress: Callable[[float], None] = lambda part: None) -> Explanations:
     """Try the extensions to which the tests of a calibration point.
 
     Parameters
     ----------
-    gyro, frames
+    source : MessageSource
         All the messages.
     scenario : Scenario
         What it was calibrated with.
@@ -181,10 +182,11 @@ def explain(gyro: GyroSamples, frames: Frames, scenario: Scenario, calibrated: C
     if not candidates:
         return Explanations((), (), False, 0.0)
     since = [each.since_ns for each in statistics if each.since_ns is not None]
+    whole = extent(source)
     for seconds in STRETCHES_S:
-        part = _about(gyro, frames, seconds, min(since, default=calibrated.stamp_ns))
-        base = _run(*part, scenario, covariance)
-        if len(part[1]) == len(frames) or not all(
+        part = about(source, whole, seconds, min(since, default=calibrated.stamp_ns))
+        base = _run(part, scenario, covariance)
+        if len(part.frames) == whole.frames or not all(
                 each.passed for each in base.consistency.statistics()):
             break
 
@@ -211,7 +213,7 @@ def explain(gyro: GyroSamples, frames: Frames, scenario: Scenario, calibrated: C
     best = trials.best()
     return Explanations(tuple(each.tried for each in trials.found),
                         tuple(each.tried for each in best), _alike([each.run for each in best]),
-                        float(frames_s(part[1])))
+                        float(frames_s(part.frames)))
 
 
 class _Attempt(NamedTuple):
@@ -225,8 +227,8 @@ class _Attempt(NamedTuple):
 class _Trials:
     """What was tried on a stretch of the messages, the best first."""
 
-    def __init__(self, part: tuple[GyroSamples, Frames], scenario: Scenario,
-                 covariance: Array | None, base: Calibrator) -> None:
+    def __init__(self, part: InMemory, scenario: Scenario, covariance: Array | None,
+                 base: Calibrator) -> None:
         self._part, self._scenario, self._covariance = part, scenario, covariance
         self._base = base
         self._sought: dict[frozenset[tuple[str, Any]], Sequence[NoiseLevel]] = {}
@@ -242,19 +244,19 @@ class _Trials:
                   if key != _ADAPT}
         walks = [key for each in parts if not each.values for key in each.sought]
         if walks:
-            search = Search(*self._part, self._scenario.replace(values), walks, self._covariance,
+            search = Search(self._part, self._scenario.replace(values), walks, self._covariance,
                             brief=True)
             values |= {key: _rounded(value) for key, value in search.values.items()}
         noises = [key for each in parts if each.values.get(_ADAPT) for key in each.sought]
         # What is sought is found already: the run itself has it as given.
-        run = _run(*self._part, self._scenario.replace(values), self._covariance, [
+        run = _run(self._part, self._scenario.replace(values), self._covariance, [
             each for each in self._found_levels(values) if each.key in noises] if noises else ())
         if noises:
             values[_ADAPT] = (*self._scenario.estimator.adapt, *noises)
         gain = float(run.consistency.likelihood.twice_log
                      - self._base.consistency.likelihood.twice_log)
         numbers = sum(each.numbers for each in parts)
-        score = gain - numbers * math.log(max(len(self._part[1]), 2))
+        score = gain - numbers * math.log(max(len(self._part.frames), 2))
         self.found.append(_Attempt(parts, Tried(name, values, numbers, gain, score, False), run))
         self.found.sort(key=lambda each: -each.tried.score)
 
@@ -271,7 +273,7 @@ class _Trials:
         """Return the noise levels, sought once for what else is tried."""
         key = frozenset(values.items())
         if key not in self._sought:
-            self._sought[key] = Search(*self._part, self._scenario.replace(values),
+            self._sought[key] = Search(self._part, self._scenario.replace(values),
                                        sorted(self.levels), self._covariance).found()
         return self._sought[key]
 
@@ -323,12 +325,10 @@ def _pointed(statistics: Sequence[Statistic], scenario: Scenario, tests: ModelTe
                             len(keys), keys)
 
 
-def _run(gyro: GyroSamples, frames: Frames, scenario: Scenario, covariance: Array | None,
+def _run(part: MessageSource, scenario: Scenario, covariance: Array | None,
          levels: Sequence[NoiseLevel] = ()) -> Calibrator:
     calibrator = Calibrator(scenario, covariance, Noise(scenario, levels))
-    calibrator.add_gyro(gyro)
-    calibrator.add_frames(frames)
-    for _ in calibrator.process():
+    for _ in message_pass.run(calibrator, part):
         pass
     return calibrator
 
@@ -362,19 +362,6 @@ def _equal(one: Belief, other: Belief) -> bool:
     a, b = one.sigma[CALIBRATED], other.sigma[CALIBRATED]
     return bool((np.abs(shift) < ALIKE * np.minimum(a, b)).all()
                 and (np.maximum(a / b, b / a) < _SIGMA).all())
-
-
-def _about(gyro: GyroSamples, frames: Frames, seconds: float, at_ns: int
-           ) -> tuple[GyroSamples, Frames]:
-    """Return the messages of some seconds about a stamp, as far as the recording goes."""
-    if not len(frames):
-        return gyro, frames
-    length = round(seconds * 1e9)
-    first, last = int(frames.stamp_ns[0]), int(frames.stamp_ns[-1])
-    begin = max(first, min(at_ns - length // 2, last - length))
-    of_frames = (frames.stamp_ns >= begin) & (frames.stamp_ns <= begin + length)
-    of_gyro = (gyro.stamp_ns >= begin - _BEFORE_NS) & (gyro.stamp_ns <= begin + length)
-    return gyro.take(of_gyro), frames.take(of_frames)
 
 
 def _rounded(value: float) -> float:

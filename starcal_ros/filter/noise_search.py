@@ -22,10 +22,11 @@ import math
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.statistic import ALARM, chi2_beyond
+from starcal_ros.filter import message_pass
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.noise import WIDE, Noise, begin_value
 from starcal_ros.filter.noise_levels import CENTROIDS, NoiseLevel, expected, found, scaled, spread
-from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.measurements.message_source import MessageSource, beginning, extent
 
 FIRST_S, STRETCH_S = 90.0, 300.0
 """Parts of the recording for the first steps: of the centroids alone, and of all levels [s]."""
@@ -41,16 +42,12 @@ _LEAST = 0.01           # of ln theta: likewise
 class _Pass:
     """One run over some messages."""
 
-    def __init__(self, gyro: GyroSamples, frames: Frames, scenario: Scenario,
+    def __init__(self, source: MessageSource, scenario: Scenario,
                  covariance: Array | None, levels: Sequence[NoiseLevel], sought: bool,
                  on_progress: Callable[[float], None]) -> None:
         calibrator = Calibrator(scenario, covariance, Noise(scenario, levels, sought))
-        calibrator.add_gyro(gyro)
-        calibrator.add_frames(frames)
-        n = max(calibrator.waiting, 1)
-        for row, _ in enumerate(calibrator.process()):
-            if row % 100 == 0:
-                on_progress(row / n)
+        for _ in message_pass.run(calibrator, source, on_progress):
+            pass
         counts = calibrator.counts
         self.lost = counts.stars <= counts.rejected_stars
         self.tests = calibrator.consistency
@@ -63,7 +60,7 @@ class Search:
 
     Parameters
     ----------
-    gyro, frames
+    source : MessageSource
         All the messages.
     scenario : Scenario
     keys : sequence of str
@@ -81,11 +78,12 @@ class Search:
         What the data say, by parameter.
     """
 
-    def __init__(self, gyro: GyroSamples, frames: Frames, scenario: Scenario, keys: Sequence[str],
+    def __init__(self, source: MessageSource, scenario: Scenario, keys: Sequence[str],
                  covariance: Array | None = None,
                  on_progress: Callable[[float], None] = lambda part: None,
                  brief: bool = False) -> None:
-        self._whole, self._keys = (gyro, frames), keys
+        self._whole, self._keys = source, keys
+        self._frames = extent(source).frames
         self._scenario, self._covariance = scenario, covariance
         self._on_progress, self._done = on_progress, 0.0
         self._informations = dict.fromkeys(keys, 0.0)
@@ -93,11 +91,13 @@ class Search:
                        for key in keys}
         for seconds, sought in ((FIRST_S, [key for key in keys if key == CENTROIDS]),
                                 (STRETCH_S, keys)):
-            part = stretch(gyro, frames, seconds)
-            if sought and not brief and len(part[1]) < len(frames):
-                self._approach(part, sought, _COARSE)
+            if not sought or brief:
+                continue
+            part = beginning(source, seconds)
+            if len(part.frames) < self._frames:
+                self._approach(part, sought, _COARSE, share=len(part.frames) / self._frames)
         self._last = self._approach(
-            self._whole, keys, *((_COARSE, _BRIEF) if brief else (_LEAST, _MOST)))
+            source, keys, *((_COARSE, _BRIEF) if brief else (_LEAST, _MOST)))
         self.values = {key: value * expected(self._informations[key])
                        for key, value in self.values.items()}
 
@@ -108,17 +108,17 @@ class Search:
     def better(self) -> bool:
         """Tell whether they explain the data better than the stated ones, beyond chance."""
         # Stars that are all rejected from the beginning take long, and leave no question.
-        if self._run(stretch(*self._whole, FIRST_S), (), False).lost:
+        begun = beginning(self._whole, FIRST_S)
+        if self._run(begun, (), False, len(begun.frames) / max(self._frames, 1)).lost:
             return True
-        as_stated = self._run(self._whole, (), False)
+        as_stated = self._run(self._whole, (), False, 1.0)
         return (self._last.explained - as_stated.explained
                 > chi2_beyond(ALARM, len(self._keys)))
 
-    def _approach(self, part: tuple[GyroSamples, Frames], sought: Sequence[str], small: float,
-                  most: int = _MOST
-                  ) -> _Pass:
+    def _approach(self, part: MessageSource, sought: Sequence[str], small: float,
+                  most: int = _MOST, share: float = 1.0) -> _Pass:
         for _ in range(most):
-            made = self._run(part, self.found(), True)
+            made = self._run(part, self.found(), True, share)
             assert made.tests.scores is not None
             steps = made.tests.scores.steps()
             far = False
@@ -132,25 +132,18 @@ class Search:
                 break
         return made
 
-    def _run(self, part: tuple[GyroSamples, Frames], levels: Sequence[NoiseLevel], sought: bool
-             ) -> _Pass:
-        begun, share = self._done, _SHARE * len(part[1]) / max(len(self._whole[1]), 1)
-        made = _Pass(*part, self._scenario, self._covariance, levels, sought,
+    def _run(self, part: MessageSource, levels: Sequence[NoiseLevel], sought: bool,
+             share: float) -> _Pass:
+        """Run over a part that has a share of all frames."""
+        begun, share = self._done, _SHARE * share
+        made = _Pass(part, self._scenario, self._covariance, levels, sought,
                      lambda part: self._on_progress(min(begun + share * part, 1.0)))
         self._done += share
         return made
 
 
-def levels(gyro: GyroSamples, frames: Frames, scenario: Scenario, covariance: Array | None = None,
+def levels(source: MessageSource, scenario: Scenario, covariance: Array | None = None,
            on_progress: Callable[[float], None] = lambda part: None) -> Sequence[NoiseLevel]:
     """Return the levels of ``estimator.adapt``, to be used where they are better (`Search`)."""
-    search = Search(gyro, frames, scenario, scenario.estimator.adapt, covariance, on_progress)
+    search = Search(source, scenario, scenario.estimator.adapt, covariance, on_progress)
     return search.found(search.better())
-
-
-def stretch(gyro: GyroSamples, frames: Frames, seconds: float) -> tuple[GyroSamples, Frames]:
-    """Return the messages of the first seconds of frames."""
-    if not len(frames):
-        return gyro, frames
-    until_ns = int(frames.stamp_ns[0]) + round(seconds * 1e9)
-    return gyro.take(gyro.stamp_ns <= until_ns), frames.take(frames.stamp_ns < until_ns)

@@ -9,7 +9,7 @@ from typing import Any
 
 from starcal_ros.core.units import NS
 from starcal_ros.files.output import whole
-from starcal_ros.filter.offline import History
+from starcal_ros.filter.history import History
 from starcal_ros.filter.states import CALIBRATED, UNIT
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
 

@@ -12,7 +12,7 @@ from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.distributions import normal_cdf
-from starcal_ros.filter.offline import Residuals
+from starcal_ros.filter.history import Residuals
 from starcal_ros.report.chart import RED, Chart, chart
 
 CELLS = 16

@@ -20,7 +20,7 @@ from starcal_ros.core.statistic import Statistic
 from starcal_ros.core.utc import utc_text
 from starcal_ros.files.output import write_text
 from starcal_ros.filter.ambiguity import NAMES
-from starcal_ros.filter.offline import History
+from starcal_ros.filter.history import History
 from starcal_ros.filter.verdict import INCONSISTENT, Verdict
 from starcal_ros.report import detector_charts, explanations, statistic_charts, time_charts
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
@@ -173,8 +173,8 @@ def _changes(calibration: Calibration) -> str:
 def _convergence(calibration: Calibration) -> str:
     history = calibration.history
     against = 'truth' if calibration.truth is not None else 'final estimate'
-    n = len(history.stamp_ns)
-    drawn = len(time_charts.thinned(n))
+    n = history.frames
+    drawn = len(time_charts.thinned(len(history.stamp_ns)))
     thin = f' Of {n} frames {drawn} are drawn.' if drawn < n else ''
     return section(
         'convergence', 'Convergence',
@@ -187,12 +187,14 @@ def _residuals(calibration: Calibration) -> str:
     stars = calibration.history.stars
     used = stars.residual[stars.accepted]
     u, v = np.sqrt(np.mean(used**2, axis=0)) if len(used) else (0.0, 0.0)
-    cells = detector_charts.CELLS
+    cells, every = detector_charts.CELLS, calibration.history.every
+    which = (f'all {len(used)} stars used' if every == 1 else
+             f'the {len(used)} stars used of one frame in {every}')
     return section(
         'residuals', 'Residuals',
-        paragraph(f'Measured minus predicted centroid after the update, of all {len(used)} stars '
-                  f'used: RMS {u:.4f}, {v:.4f} px. The map averages them over {cells} by {cells} '
-                  'cells of the detector; the lines in the histograms are the Gaussian that '
+        paragraph(f'Measured minus predicted centroid after the update, of {which}: RMS '
+                  f'{u:.4f}, {v:.4f} px. The map averages them over {cells} by {cells} cells of '
+                  'the detector; the lines in the histograms are the Gaussian that '
                   'the stated sigmas promise.'),
         charts([detector_charts.residual_map(stars, detector(calibration.scenario.camera)),
                 *detector_charts.residual_histograms(stars)]))

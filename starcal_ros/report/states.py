@@ -15,7 +15,7 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.files.foreign import literal
-from starcal_ros.filter.offline import History
+from starcal_ros.filter.history import History
 from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
 from starcal_ros.filter.verdict import INCONSISTENT
 

@@ -13,7 +13,7 @@ import numpy as np
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector
 from starcal_ros.files.output import write_text
-from starcal_ros.filter.offline import Residuals
+from starcal_ros.filter.history import Residuals
 from starcal_ros.report import detector_charts
 from starcal_ros.report.cameras import entry, entry_columns, verdict_lines
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table

@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.distributions import chi2_ppf
 from starcal_ros.core.units import NS
-from starcal_ros.filter.offline import History
+from starcal_ros.filter.history import History
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, UNIT
 from starcal_ros.report.chart import BLUE, GREY, PALE, RED, Chart, chart
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors

@@ -24,6 +24,7 @@ from starcal_ros.filter.explanations import Explanations
 from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
 from starcal_ros.recording.reader import Recording
+from starcal_ros.recording.recording_stream import RecordingStream
 
 
 class CalibrationError(ValueError):
@@ -155,7 +156,7 @@ def of_detector(detector: Detector) -> dict[str, Any]:
             'pixel_pitch_mm': detector.pitch_mm}
 
 
-def provenance(scenario: Scenario, recording: Recording) -> dict[str, str]:
+def provenance(scenario: Scenario, recording: Recording | RecordingStream) -> dict[str, str]:
     """Return where a result comes from: version, configuration hash, bag hash."""
     return {'version': starcal_ros.__version__, 'config_sha256': scenario.sha256,
             'bag': str(recording.path), 'bag_sha256': recording.sha256}

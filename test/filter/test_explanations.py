@@ -8,6 +8,7 @@ from instruments import TAN2018, calibrated, failed
 from starcal_ros.filter import explanations
 from starcal_ros.filter.explanations import Explanations, Tried, explain
 from starcal_ros.filter.offline import calibrate
+from starcal_ros.measurements.message_source import InMemory, about, extent
 from starcal_ros.reproduction import wrong_models
 from starcal_ros.results.result import result, word
 from starcal_ros.simulation import sensors
@@ -28,7 +29,7 @@ def explained(row):
     given = messages(row)
     calibrator, _ = calibrate(*given, RUN)
     assert word(calibrator) == 'inconsistent'
-    return given, calibrator, explain(*given, RUN, calibrator)
+    return given, calibrator, explain(InMemory(*given), RUN, calibrator)
 
 
 @pytest.mark.parametrize('row, keys', [
@@ -75,7 +76,7 @@ def test_noise_that_is_not_as_stated_points_to_the_levels_and_not_to_those_that_
 
 def test_what_no_extension_explains_is_said_and_nothing_is_to_be_adopted():
     calibrator = calibrated(RUN)
-    found = explain(*messages(wrong_models.CLEAN), RUN, calibrator)
+    found = explain(InMemory(*messages(wrong_models.CLEAN)), RUN, calibrator)
     assert found == Explanations((), (), False, 0.0) and found.to_adopt is None
     assert found.sentence == 'no extension of the model is known for what fails'
     assert 'explanations' not in result(calibrator, {})
@@ -123,15 +124,16 @@ def test_equal_in_effect_is_judged_by_states_and_sigmas():
 
 
 def test_the_stretch_is_about_what_failed_first_and_inside_the_recording():
-    gyro, frames = messages(wrong_models.CLEAN)
-    first = int(frames.stamp_ns[0])
+    source = InMemory(*messages(wrong_models.CLEAN))
+    run = extent(source)
     for at_s, low_s in ((0.0, 0.0), (80.0, 50.0), (119.0, 59.5)):
-        samples, part = explanations._about(gyro, frames, 60.0, first + round(at_s * 1e9))
-        assert (part.stamp_ns[0] - first) * 1e-9 == pytest.approx(low_s, abs=0.5)
+        found = about(source, run, 60.0, run.first_ns + round(at_s * 1e9))
+        samples, part = found.gyro, found.frames
+        assert (part.stamp_ns[0] - run.first_ns) * 1e-9 == pytest.approx(low_s, abs=0.5)
         assert (part.stamp_ns[-1] - part.stamp_ns[0]) * 1e-9 == pytest.approx(60.0, abs=0.6)
         assert samples.stamp_ns[0] <= part.stamp_ns[0] + 10**7
         assert samples.stamp_ns[-1] <= part.stamp_ns[-1] + 10**9
-    assert len(explanations._about(gyro, frames, 1e4, first)[1]) == len(frames)
+    assert len(about(source, run, 1e4, run.first_ns).frames) == run.frames
 
 
 @pytest.mark.parametrize('value, text', [

@@ -22,6 +22,7 @@ from starcal_ros.filter.noise import WIDE, Noise
 from starcal_ros.filter.noise_levels import (CENTROIDS, GYRO, WALKS, NoiseLevel, combined,
                                              expected, said_aloud)
 from starcal_ros.filter.offline import calibrate
+from starcal_ros.measurements.message_source import InMemory
 from starcal_ros.reproduction import wrong_models
 from starcal_ros.results.result import result, word
 from starcal_ros.simulation import sensors
@@ -160,7 +161,7 @@ def test_a_step_is_no_noise_and_is_still_found():
 def test_stars_with_wrong_numbers_are_no_noise():
     row = wrong_models.WrongModel('wrong stars', {
         'truth.star_tracker.misidentified_fraction': 0.1})
-    sigma, _ = noise_search.levels(*simulated(RUN, row, sigma=0.1), stated(0.1, 1.0))
+    sigma, _ = noise_search.levels(InMemory(*simulated(RUN, row, sigma=0.1)), stated(0.1, 1.0))
     assert sigma.used and sigma.value == pytest.approx(0.05, rel=0.05)
 
 

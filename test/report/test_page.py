@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report: all on one page, true to RESULT.json, harmless, drawn by a real browser."""
 
+from dataclasses import replace
 from html.parser import HTMLParser
 import json
 import re
@@ -21,7 +22,8 @@ from starcal_ros.core import camera
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter import verdict
-from starcal_ros.filter.offline import Residuals, calibrate
+from starcal_ros.filter.history import Residuals
+from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.recording import reader
 from starcal_ros.report import detector_charts, statistic_charts, time_charts
@@ -290,6 +292,18 @@ def test_a_step_parts_the_run_into_stretches():
     _, _, before, after = next(row for row in rows if row[0] == 'f')
     before, after = (float(cell.split(' ±')[0]) for cell in (before, after))
     assert after - before == pytest.approx(0.005, abs=0.0005)
+
+
+def test_a_long_run_says_how_many_of_its_frames_are_kept(outcome, history):
+    gyro, tracker = sensors.gyro(SHORT), sensors.star_tracker(SHORT)
+    calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
+    n = len(history.stamp_ns)
+    long = replace(history, every=4, frames=4 * n)
+    page = Page(html(Calibration(outcome, None, long, verdict.of(calibrator), SHORT, [])))
+    said = {each['id']: each['text'] for each in page.all('section')}
+    used = int(history.stars.accepted.sum())
+    assert f'of the {used} stars used of one frame in 4: RMS' in said['residuals']
+    assert f'Of {4 * n} frames {n} are drawn.' in said['convergence']
 
 
 def test_equivalent_principal_point_is_drawn_with_the_sigma_of_the_verdict(history):

@@ -19,7 +19,7 @@ from starcal_ros.core.distributions import normal_cdf
 from starcal_ros.filter import offline
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.filter.offline import History
+from starcal_ros.filter.history import History
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.reproduction import real_images

@@ -1,0 +1,209 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How a calibration converged, frame by frame, in a memory that does not grow with the run.
+
+Every frame is kept until there are `MOST`; then every second one of these goes, and of what comes
+every second is kept, and so on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.filter.calibrator import FrameResult
+from starcal_ros.filter.states import N_STATES
+from starcal_ros.filter.verdict import equivalent_sigma
+from starcal_ros.measurements.samples import Frames
+
+MOST = 20_000
+"""Frames that are kept at once, at most: nearly 3 h at 2 Hz are kept whole."""
+
+_BLOCK = 500            # frames whose covariances are looked at together
+_WAITING = 50_000       # frames whose result is still to come: more than a calibrator keeps
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What the stars of the frames of a history left over, one row a star, in their order.
+
+    Attributes
+    ----------
+    uv_raster : (m, 2) array
+        Measured centroids [px].
+    residual : (m, 2) array
+        Measured minus predicted centroid after the update [px]; NaN for an unusable star.
+    accepted : (m,) bool array
+        Stars used.
+    sigma : (m,) array
+        Standard deviation of the centroid, each axis, that the filter took [px].
+    """
+
+    uv_raster: Array
+    residual: Array
+    accepted: Mask
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class History:
+    """How the estimates converged: one row a frame, or one of every few of a long run.
+
+    Attributes
+    ----------
+    every : int
+        Frames from one row to the next; the last frame has a row in any case.
+    frames : int
+        How many there were.
+    stamp_ns : (n,) int64 array
+        Stamps of the frames.
+    bias : (n, 3) array
+        Gyro bias [rad/s].
+    C_sg : (n, 3, 3) array
+        Mounting.
+    intrinsics : (n, 7) array
+        Camera, as in `starcal_ros.core.camera`.
+    sigma : (n, 16) array
+        Standard deviations, in the filter's units.
+    equivalent_sigma : (n, 2) array
+        Standard deviation of the equivalent principal point, Eq. (V.1) of `verdict` [px].
+    nis : (n,) array
+        Normalised innovation squared of the stars used.
+    used : (n,) int64 array
+        Number of stars used; nis has twice as many degrees of freedom.
+    stars : Residuals
+    """
+
+    every: int
+    frames: int
+    stamp_ns: Ints
+    bias: Array
+    C_sg: Array
+    intrinsics: Array
+    sigma: Array
+    equivalent_sigma: Array
+    nis: Array
+    used: Ints
+    stars: Residuals
+
+
+class _Row(NamedTuple):
+    """What is kept of a frame; its stars are copied, since a part of a batch holds all of it."""
+
+    stamp_ns: int
+    bias: Array
+    C_sg: Array
+    intrinsics: Array
+    sigma: Array
+    root: Array
+    nis: float
+    stars: tuple[Array, Array, Mask, Array]
+
+
+class _Block(NamedTuple):
+    """Rows as arrays, in the order of `History`, and the stars of each."""
+
+    arrays: tuple[Any, ...]
+    stars: list[tuple[Array, Array, Mask, Array]]
+
+
+class HistoryKeeper:
+    """Keeps what a history needs, while frames are processed.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        For the sigma of stars that state none, and the pixels.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._sigma_px = scenario.star_tracker.centroid_sigma_px
+        self._pitch_mm = scenario.camera.pixel_pitch_mm
+        self._frames, self._every, self._kept = 0, 1, 0
+        self._rows: list[_Row] = []
+        self._blocks: list[_Block] = []
+        self._last: tuple[FrameResult, Array] | None = None
+        self._stated: dict[int, Array] = {}         # sigmas of the stars, by the frame's stamp
+
+    def expect(self, frames: Frames) -> None:
+        """Take frames before they are processed: what they state of their stars."""
+        for stamp_ns in list(self._stated)[:max(len(self._stated) - _WAITING, 0)]:
+            del self._stated[stamp_ns]
+        for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
+            # Of frames with the same stamp the first is used: the others are not newer.
+            self._stated.setdefault(stamp_ns, frames.sigma[frames.first[k]:frames.first[k + 1]])
+
+    def add(self, frame: FrameResult) -> None:
+        """Take what a frame gave."""
+        stated = self._stated.pop(frame.stamp_ns)
+        if self._frames % self._every == 0:
+            self._rows.append(_row(frame, stated))
+            self._last = None
+        else:
+            self._last = frame, stated
+        self._frames += 1
+        if len(self._rows) == _BLOCK:
+            self._end_block()
+
+    def history(self, noise_factor: float) -> History:
+        """Return the history.
+
+        Parameters
+        ----------
+        noise_factor : float
+            By which the stated sigmas of the stars were multiplied.
+        """
+        if self._last is not None:
+            self._rows.append(_row(*self._last))
+        self._end_block()
+        joined = self._joined()
+        nothing = np.empty((0, 2)), np.empty((0, 2)), np.empty(0, bool), np.empty(0)
+        uv_raster, residual, accepted, sigma = (
+            np.concatenate(parts) for parts in zip(nothing, *joined.stars))
+        sigma = np.where(sigma == 0.0, self._sigma_px, sigma) * noise_factor
+        stamp_ns, bias, C_sg, intrinsics, spread, equivalent, nis, used = joined.arrays
+        return History(self._every, self._frames, stamp_ns, bias, C_sg, intrinsics, spread,
+                       equivalent, nis, used, Residuals(uv_raster, residual, accepted, sigma))
+
+    def _end_block(self) -> None:
+        if not self._rows:
+            return
+        self._blocks.append(_block(self._rows, self._pitch_mm))
+        self._kept += len(self._rows)
+        self._rows = []
+        if self._kept >= MOST:
+            arrays, stars = self._joined()
+            self._blocks = [_Block(tuple(part[::2] for part in arrays), stars[::2])]
+            self._every *= 2
+            self._kept = len(stars[::2])
+
+    def _joined(self) -> _Block:
+        blocks = [_block([], self._pitch_mm), *self._blocks]
+        return _Block(tuple(map(np.concatenate, zip(*(each.arrays for each in blocks)))),
+                      [stars for each in blocks for stars in each.stars])
+
+
+def _row(frame: FrameResult, stated: Array) -> _Row:
+    estimate = frame.belief.estimate
+    return _Row(frame.stamp_ns, estimate.bias, estimate.C_sg, estimate.intrinsics,
+                frame.belief.sigma, frame.belief.state_root, frame.nis,
+                (frame.uv_raster.copy(), frame.residual.copy(), frame.accepted.copy(),
+                 stated.copy()))
+
+
+def _block(rows: list[_Row], pitch_mm: float) -> _Block:
+    n = len(rows)
+    intrinsics = np.array([row.intrinsics for row in rows]).reshape(n, 7)
+    root = np.array([row.root for row in rows]).reshape(n, N_STATES, N_STATES)
+    return _Block((
+        np.array([row.stamp_ns for row in rows], np.int64),
+        np.array([row.bias for row in rows]).reshape(n, 3),
+        np.array([row.C_sg for row in rows]).reshape(n, 3, 3), intrinsics,
+        np.array([row.sigma for row in rows]).reshape(n, N_STATES),
+        equivalent_sigma(root, intrinsics, pitch_mm), np.array([row.nis for row in rows]),
+        np.array([row.stars[2].sum() for row in rows], np.int64)),
+        [row.stars for row in rows])

@@ -1,0 +1,42 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One pass of the calibrator over the messages of a run, batch by batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from starcal_ros.filter.calibrator import Calibrator, FrameResult
+from starcal_ros.measurements.message_source import MessageBatch, MessageSource
+
+_TOLD = 100             # frames between two words of progress
+
+
+def run(calibrator: Calibrator, source: MessageSource,
+        on_progress: Callable[[float], None] = lambda part: None,
+        on_batch: Callable[[MessageBatch], None] = lambda batch: None) -> Iterator[FrameResult]:
+    """Give the messages of a run to a calibrator, and what it makes of each frame.
+
+    Parameters
+    ----------
+    calibrator : Calibrator
+        Fresh.
+    source : MessageSource
+        The run.
+    on_progress : callable
+        Called now and then with the part done, 0 to 1.
+    on_batch : callable
+        Called with each batch before it is given.
+    """
+    before = 0.0
+    for batch in source.batches():
+        on_batch(batch)
+        calibrator.add_gyro(batch.gyro)
+        calibrator.add_frames(batch.frames)
+        n, share = max(calibrator.waiting, 1), batch.done - before
+        for row, frame in enumerate(calibrator.process()):
+            yield frame
+            if row % _TOLD == _TOLD - 1:
+                on_progress(before + share * min((row + 1) / n, 1.0))
+        before = batch.done
+        on_progress(before)
