@@ -152,7 +152,8 @@ def other_date(name: str, shift_ns: Callable[[int], int]) -> WrongModel:
         by = shift_ns(int(gyro.stamp_ns[0]))
         return (GyroSamples(gyro.stamp_ns + by, gyro.rate),
                 replace(frames, stamp_ns=frames.stamp_ns + by))
-    return WrongModel(name, spoil=spoil)
+    # Else a clock that counts from its start is no UTC, and its frames are dropped.
+    return WrongModel(name, spoil=spoil, stated={'estimator.earliest_utc': '1970-01-01T00:00:00Z'})
 
 
 def _after_half(stamp_ns: Ints, frames: Frames) -> Mask:
