@@ -26,8 +26,8 @@ from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions, topics  # noqa: E402
 from starcal_ros.nodes.base import run_loop  # noqa: E402
-from starcal_ros.nodes.base.matched_subscription import (BACKLOG_S,  # noqa: E402
-                                                         MatchedSubscription)
+from starcal_ros.nodes.base.matched_subscription import BACKLOG_S  # noqa: E402
+from starcal_ros.nodes.base.matched_subscription import MatchedSubscription  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
