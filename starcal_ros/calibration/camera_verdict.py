@@ -51,6 +51,8 @@ _ADVICE = {
     residual_tests.CELLS: 'stars are displaced in parts of the detector: look at the residual map',
     residual_tests.PHASE: 'the centroids depend on where in a pixel a star falls',
     residual_tests.TIME: 'the camera changes from frame to frame: focus, stabiliser, temperature',
+    residual_tests.IMAGES: 'the images are not of one camera, each has a focal length of its own '
+                           'or another principal point: autofocus, stabiliser, zoom',
     residual_tests.AGREEMENT: 'these stars ask for another camera: wrong weights, or what the '
                               'method began with is wrong',
     residual_tests.SCATTER_CELLS: 'the noise depends on the place: state a sigma for each star',

@@ -66,6 +66,7 @@ LEVEL, REJECTIONS = 'NIS of the centroids', 'share of rejected stars'
 LENS, CELLS, PHASE = 'lens beyond the model', 'mean over the detector', 'mean over the pixel'
 TIME, AGREEMENT = 'camera from frame to frame', 'camera of the method against these stars'
 SCATTER_CELLS, SCATTER_MAGNITUDE = 'scatter over the detector', 'scatter over the magnitude'
+IMAGES = 'images that ask for another camera'
 HELD_OUT = 'held-out images against fitted ones'
 
 _LEAST = 30             # degrees of freedom before a statistic says anything

@@ -13,9 +13,12 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.files.foreign import literal
 from starcal_ros.report.states import LABELS, UNITS, Row, short
 
+BETWEEN = 'sigma, images'
+"""Head of the sigmas that the scatter between images tells."""
 SCALED = 'sigma, scaled'
 """Head of the sigmas that stand beside those that are not to be believed."""
 
+_SCATTER = 'sigma_between_images'
 _LEFT = ('state', 'unit')
 
 
@@ -72,6 +75,7 @@ def still_images(result: dict[str, Any], title: str) -> Table:
 def entry_columns(result: dict[str, Any]) -> tuple[str, ...]:
     """Return the heads of `entry`."""
     return ('parameter', 'unit', 'estimate', 'sigma',
+            *([BETWEEN] if result.get(_SCATTER) else []),
             *([SCALED] if result['verdict'] == 'inconsistent' else []))
 
 
@@ -83,6 +87,7 @@ def entry(result: dict[str, Any], key: str) -> list[str]:
     name, _, unit = key.partition('_')
     row = Row(name, unit, np.nan, result[key], np.nan, result['sigma'][key])
     return [name, unit, row.places(row.estimate), short(row.sigma) if row.sigma else 'held',
+            *([short(result[_SCATTER][key])] if result.get(_SCATTER) else []),
             *(_scaled(result, key, row.sigma) if result['verdict'] == 'inconsistent' else ())]
 
 
@@ -95,6 +100,7 @@ def verdict_lines(result: dict[str, Any]) -> list[str]:
     said = result['verdict']
     lines = [f'Verdict: {said}{_doubt(result).replace(";", ",")}']
     lines += ['{name} {value:.4g}, allowed {low:.4g} to {high:.4g}'.format(**each)
+              + (f' ({each["fits"]})' if each.get('fits') else '')
               for each in result['consistency'] if not each['passed']]
     return [*lines, result['advice']] if result['advice'] else lines
 

@@ -20,6 +20,8 @@ from starcal_ros.report.markup import charts, document, items, paragraph, sectio
 from starcal_ros.workflows.still_images.calibration import Refit, StillImageCamera
 from starcal_ros.workflows.still_images.opencv_camera import KEYS
 
+_OWN = KEYS[:3]
+
 
 def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: dict[str, Any],
                             notices: list[str]) -> None:
@@ -37,6 +39,7 @@ def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: 
     """
     write_text(path, document(
         f'Camera of {outcome["source"]}', _verdict(outcome), _camera(outcome), *_images(found),
+        *_each_image(outcome),
         *_left_out(outcome), _distortion(found), _coupling(outcome), section(
             'notices', 'Notices', items(notices) if notices else paragraph('No notices.'),
             '<details><summary>Configuration</summary><pre>'
@@ -72,6 +75,18 @@ def _images(found: StillImageCamera) -> list[str]:
     if found.heldout is not None:
         sections.append(_residuals('heldout', 'Images held out', found.heldout, found))
     return sections
+
+
+def _each_image(outcome: dict[str, Any]) -> list[str]:
+    rows = [[each['image'], *(f'{each[key]:.2f}' for key in _OWN),
+             *(f'{each["sigma"][key]:.2f}' for key in _OWN),
+             'another camera' if each['disagrees'] else ''] for each in outcome['each_image']]
+    return [section(
+        'each-image', 'Images one by one',
+        paragraph('The camera that each image alone asks for. Those that ask for another one than '
+                  'all together do, beyond chance, are marked.'),
+        table(['image', 'f [px]', 'u0 [px]', 'v0 [px]', 'sigma f', 'sigma u0', 'sigma v0', ''],
+              rows))] if rows else []
 
 
 def _left_out(outcome: dict[str, Any]) -> list[str]:

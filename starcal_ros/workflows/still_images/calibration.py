@@ -24,18 +24,20 @@ from starcal_ros import calibration
 from starcal_ros.calibration import bundle_adjustment, held_camera, residual_tests
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.calibration.camera_verdict import CameraVerdict
-from starcal_ros.calibration.residual_tests import FittedStars
+from starcal_ros.calibration.residual_tests import Consistency, FittedStars
 from starcal_ros.config.models import detector, star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
-from starcal_ros.core.arrays import Mask
+from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import Site
+from starcal_ros.workflows.still_images import one_camera
 from starcal_ros.workflows.still_images.atmosphere import without_air
+from starcal_ros.workflows.still_images.one_camera import OwnCamera
 from starcal_ros.workflows.still_images.opencv_camera import IN_OURS, KEYS, from_estimate
 from starcal_ros.workflows.still_images.table import StillImages
 
@@ -93,6 +95,10 @@ class StillImageCamera:
         What the method began with.
     verdict : CameraVerdict
         Whether the residuals are noise; there are no tolerances in units of PITCH_MM.
+    own : tuple of OwnCamera
+        What each image alone asks for.
+    scatter : (7,) array or None
+        Variances of the camera from the scatter between images, in the order of KEYS.
     """
 
     estimate: CameraEstimate
@@ -101,6 +107,8 @@ class StillImageCamera:
     heldout: Refit | None
     scenario: Scenario
     verdict: CameraVerdict
+    own: tuple[OwnCamera, ...] = ()
+    scatter: Array | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON, the covariance in the order of KEYS."""
@@ -111,12 +119,16 @@ class StillImageCamera:
             'centroids': judged['variance_factor']['centroids'],
             **{key: factors[name] for key, name in zip(KEYS, IN_OURS)}}
         sigma = np.sqrt(np.diag(covariance))
+        scatter = None if self.scatter is None else dict(
+            zip(KEYS, np.sqrt(self.scatter).tolist()))
         return {
             **dict(zip(KEYS, values.tolist())), 'sigma': dict(zip(KEYS, sigma.tolist())),
+            'sigma_between_images': scatter,
             'parameters': list(KEYS), 'covariance': covariance.tolist(),
             'centroid_sigma_px': self.sigma_px, 'fit_rms_px': self.fit.rms_px,
             'heldout_rms_px': self.heldout.rms_px if self.heldout else None,
             **judged,
+            'each_image': [each.as_dict() for each in self.own],
             'counts': {'images': self.estimate.frames, 'stars': self.estimate.stars,
                        'rejected_stars': int((~self.fit.adjusted.used).sum()),
                        'heldout_stars': (int(self.heldout.adjusted.used.sum())
@@ -186,7 +198,8 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
         Where the images were taken, to free them of refraction.
     """
     measured, result, stated = images.frames, None, 1.0
-    for _ in range(_ROUNDS if site is None else _ROUNDS_IN_AIR):
+    rounds = _ROUNDS if site is None else _ROUNDS_IN_AIR
+    for k in range(rounds):
         stars = StarDirections(scenario).of(images.frames)
         fitted = images.which(~images.heldout)
         method = calibration.begin(scenario)
@@ -210,6 +223,8 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
             heldout=heldout.stars if heldout else None)
         result = StillImageCamera(estimate, sigma, fit, heldout, scenario,
                                   CameraVerdict(found, {}, ()))
+        if k == rounds - 1:
+            return _between_images(result, fitted)
         scale = float(np.sqrt(np.sum((residual / given[:, None])**2) / freedom))
         stated *= scale
         known = measured.sigma > 0.0
@@ -223,7 +238,25 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
         images = replace(images, frames=freed)
         scenario = scenario.replace({'star_tracker.centroid_sigma_px': max(
             scale * scenario.star_tracker.centroid_sigma_px, _LEAST_SIGMA_PX)})
-    return result
+    return None
+
+
+def _between_images(found: StillImageCamera, fitted: StillImages) -> StillImageCamera:
+    """Return a camera with what its images say one by one, and the verdict on that."""
+    fit, scenario = found.fit, found.scenario
+    own = one_camera.own_cameras(fit.names, fit.spots, fit.adjusted, found.estimate, scenario)
+    scatter = one_camera.jackknife(fitted, scenario)
+    odd, factors = one_camera.disagreement(own), residual_tests.AS_STATED
+    if not odd.passed and scatter is not None and len(own) > 1:
+        formal = np.diag(from_estimate(found.estimate, scenario)[1])
+        scatter = np.maximum(scatter, one_camera.scattered(own, formal))
+        ratio = dict(zip(IN_OURS, np.maximum(1.0, scatter / np.where(
+            formal > 0.0, formal, np.inf)).tolist()))
+        factors = tuple(ratio[name] for name in INTRINSICS)
+    judged = found.verdict.consistency
+    if own and judged.statistics:
+        judged = Consistency((odd,), None, factors).beside(judged)
+    return replace(found, own=own, scatter=scatter, verdict=CameraVerdict(judged, {}, ()))
 
 
 def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimate,
