@@ -41,7 +41,7 @@ from starcal_ros.filter.states import THETA
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
-HISTORY = 1000
+HISTORY = 200
 """Windows of which the statistics are kept, at most."""
 LEAST = 20
 """Frames before a statistic says anything."""
