@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from datetime import timedelta, timezone
 from typing import TYPE_CHECKING, Any
 
 from starcal_ros.cli.terminal import progress, say, show
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from starcal_ros.workflows.still_images.pipeline import Conditions, Source
 
 _OF_TABLE = ('width', 'height')
-_OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars')
+_OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars', 'utc_offset')
 _OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report')
 
 
@@ -48,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     folder.add_argument('--saturation', metavar='COUNTS', type=float,
                         help='counts from which a pixel is saturated; default: SATURATE of FITS, '
                         'else the top of the type of the file')
+    folder.add_argument('--utc-offset', metavar='HOURS', type=float,
+                        help='of the clock of the camera, where the file does not say it: '
+                        '--utc-offset=-7 for UTC-7; default: UTC')
     folder.add_argument('--mask', metavar='IMAGE',
                         help='image of the same size, black where nothing is to be looked for: '
                         'trees, a horizon, text')
@@ -73,12 +77,13 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
 
     if recording:
         for name in given((*_OF_BOTH, *_OF_FOLDER, *_OF_TABLE)):
-            raise ConfigError(f'--{name}: is for still images, {options.source} is a recording'
+            shown = name.replace('_', '-')
+            raise ConfigError(f'--{shown}: is for still images, {options.source} is a recording'
                               + ('; starcal calibrate reports on a recording'
                                  if name == 'report' else ''))
         return
     for name in given(_OF_FOLDER if options.centroids else _OF_TABLE):
-        raise ConfigError(f'--{name}: is for '
+        raise ConfigError(f'--{name.replace("_", "-")}: is for '
                           + ('a folder of images' if options.centroids else
                              '--centroids; images have a size of their own'))
     for name in given(('config', 'namespace', 'gyro_topic', 'frames_topic', 'image_topic')):
@@ -88,6 +93,8 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
             raise ConfigError(f'--{name}: needs --site')
     if options.epoch:
         stamp_ns('--epoch', options.epoch)
+    if options.utc_offset is not None and not abs(options.utc_offset) <= 14.0:
+        raise ConfigError(f'--utc-offset: got {options.utc_offset:g}, needs -14 to 14 h')
     if options.heldout is not None and options.heldout < 2:
         raise ConfigError(f'--heldout: got {options.heldout}, needs 2 or more')
     if options.saturation is not None and not options.saturation > 0.0:
@@ -111,7 +118,9 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     """
     from starcal_ros.workflows.still_images import pipeline
     conditions = pipeline.Conditions(options.fov, options.epoch, _site(options),
-                                     options.aberration)
+                                     options.aberration,
+                                     None if options.utc_offset is None else timezone(
+                                         timedelta(hours=options.utc_offset)))
     source = _of_table(options, conditions) if options.centroids else _of_folder(
         options, conditions)
     for text in (*source.notices, *(f'{name} left out: {why}'

@@ -113,6 +113,27 @@ def test_a_mask_takes_it_out(images, tmp_path, capsys):
     assert 'no.png: ' in capsys.readouterr().err
 
 
+# The clock
+
+def test_a_camera_clock_has_the_zone_that_is_stated(tmp_path, capsys):
+    """A clock at UTC-7: the refraction of the right time fits far better than that of UTC."""
+    case = CASES / 'zone_of_exif'
+    if not case.is_dir():
+        pytest.skip(f'{case} is not there')
+    truth, out = json.loads((case / 'truth.json').read_text()), tmp_path / 'camera.json'
+    words = ['intrinsics', str(case), '--fov', '25.7', '--site', '45.5,-122.7,50', '--out',
+             str(out), '--overwrite']
+    assert main([*words, '--utc-offset=-7']) in (0, 3, 4)
+    found = json.loads(out.read_text())
+    assert abs(found['f_px'] - truth['f_px']) < 3.0 * truth['sigma']
+    assert 'taken as UTC' not in capsys.readouterr().err
+    assert main(words) in (0, 3, 4)
+    assert 'is taken as UTC; --utc-offset states the zone' in capsys.readouterr().err
+    assert json.loads(out.read_text())['fit_rms_px'] > 1.3 * found['fit_rms_px']
+    assert main([*words, '--utc-offset', '25']) == 2
+    assert '--utc-offset: got 25, needs -14 to 14 h' in capsys.readouterr().err
+
+
 # Why not
 
 def test_each_image_that_is_left_out_has_its_own_reason(images, capsys):

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import csv
 from dataclasses import dataclass
+from datetime import tzinfo
 from os import PathLike
 from typing import NamedTuple
 
@@ -85,6 +86,7 @@ class StarFolder(NamedTuple):
 def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | None,
          config: CentroidConfig = CentroidConfig(), observer: Observer = Observer('barycentre'),
          site: Site | None = None, mask: NDArray[np.bool_] | None = None,
+         zone: tzinfo | None = None,
          on_progress: Callable[[float], None] = lambda part: None) -> StarFolder:
     """Find the stars in the images of a folder.
 
@@ -104,6 +106,8 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
         Where they were taken, for the same.
     mask : (height, width) bool array, optional
         Pixels that are looked at.
+    zone : tzinfo, optional
+        Of times that their file leaves without one.
     on_progress : callable
         Called with the part done, 0 to 1.
 
@@ -116,7 +120,7 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     ImportError
         Where tetra3rs is missing.
     """
-    search = StarSearch(fov_deg, epoch_utc, observer, site)
+    search = StarSearch(fov_deg, epoch_utc, observer, site, zone)
     measured = measure(folder, config, mask, lambda part: on_progress(0.5 * part))
     left_out = dict(measured.left_out)
     if not measured.images:

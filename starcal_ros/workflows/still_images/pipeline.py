@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
+from datetime import datetime, timezone, tzinfo
 from os import PathLike, fspath
 from typing import Any, NamedTuple
 
@@ -53,12 +53,15 @@ class Conditions:
         Where: their centroids are freed of refraction.
     aberration : bool
         Whether the observer moves with the Earth; with a site always.
+    zone : tzinfo, optional
+        Of times that their file leaves without one; UTC where it is not known.
     """
 
     fov_deg: float | None = None
     epoch_utc: str | None = None
     site: Site | None = None
     aberration: bool = False
+    zone: tzinfo | None = None
 
     @property
     def velocity(self) -> str:
@@ -158,7 +161,8 @@ def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions()
     found = star_folder.read(folder, conditions.fov_deg, conditions.epoch_utc,
                              CentroidConfig(saturation_counts=saturation_counts),
                              Observer(conditions.velocity), conditions.site,
-                             None if mask is None else read_mask(mask), on_progress)
+                             None if mask is None else read_mask(mask), conditions.zone,
+                             on_progress)
     first, *others = [_of_camera(fspath(folder), camera, conditions, heldout_every)
                       for camera in found.cameras]
     if stars_csv is not None:
@@ -183,7 +187,8 @@ def _of_camera(folder: str, camera: StarImages, conditions: Conditions,
     unsure = [image.name for image in images if not image.has_zone]
     if conditions.site is not None and unsure:
         notices.append(f'{", ".join(unsure[:_NAMED])}{" ..." * (len(unsure) > _NAMED)}: a time '
-                       'without a zone or without a time of the day is taken as UTC')
+                       'without a zone or without a time of the day is taken as UTC; '
+                       '--utc-offset states the zone')
     heldout = _held(len(images), heldout_every)
     stars = table.assemble(
         [image.name for image in images], [image.uv_raster for image in images],

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import timezone
+from datetime import timezone, tzinfo
 
 import numpy as np
 
@@ -64,7 +64,7 @@ class StarImage:
     stamp_ns : int or None
         When it was taken, UTC since the Unix epoch; None where the file does not say.
     has_zone : bool
-        Whether the file says that the time is UTC, or by how much it is not.
+        Whether the file, or the user, says that the time is UTC, or by how much it is not.
     focal_length_px : float
         That fits it.
     mirrored : bool
@@ -95,6 +95,8 @@ class StarSearch:
         Who looks, for images whose time is known.
     site : Site, optional
         Where they were taken, for the same.
+    zone : tzinfo, optional
+        Of times that their file leaves without one.
 
     Raises
     ------
@@ -103,7 +105,7 @@ class StarSearch:
     """
 
     def __init__(self, fov_deg: float | None, epoch_utc: str | None, observer: Observer,
-                 site: Site | None) -> None:
+                 site: Site | None, zone: tzinfo | None = None) -> None:
         if fov_deg is not None and not 0.0 < fov_deg <= _WIDEST_DEG:
             raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
                               f'{_WIDEST_DEG:g}')
@@ -111,6 +113,7 @@ class StarSearch:
         self._epoch_utc, self._observer, self._site = epoch_utc, observer, site
         self._identifiers: dict[tuple[tuple[int, int], Field], Identifier] = {}
         self._known: dict[tuple[int, int], list[float]] = {}
+        self._zone = zone
         self._tried: dict[str, Field] = {}
         self.left_out: dict[str, str] = {}
 
@@ -190,7 +193,8 @@ class StarSearch:
         stamp_ns = None if self._epoch_utc is None else unix_ns(self._epoch_utc)
         if image.taken is not None:
             taken = image.taken
-            zoned = taken if taken.tzinfo else taken.replace(tzinfo=timezone.utc)
+            zoned = taken if taken.tzinfo else taken.replace(tzinfo=self._zone or timezone.utc)
+            zoned = zoned.astimezone(timezone.utc)
             stamp_ns = unix_ns(zoned.isoformat())
         mirrored, uv = False, image.centroids.uv_raster
         try:
@@ -210,7 +214,7 @@ class StarSearch:
         return StarImage(
             image.name, uv[use], np.hypot(centroids.sigma[use], _LEAST_SIGMA_PX),
             found.catalog_id[use], len(uv), stamp_ns,
-            image.taken is None or image.taken.tzinfo is not None,
+            self._zone is not None or image.taken is None or image.taken.tzinfo is not None,
             float(found.view.intrinsics[2]), mirrored)
 
 
