@@ -20,7 +20,6 @@ import os
 import sys
 
 import starcal_ros
-from starcal_ros.cli.terminal import printing
 
 COMMANDS = {
     'demo': 'simulate over ROS 2, record, calibrate',
@@ -46,6 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit status."""
     options = parse(arguments)
     try:
+        from starcal_ros.cli.terminal import printing
         with printing(getattr(options, 'json', False)):
             status = int(options.run(options))
         sys.stdout.flush()

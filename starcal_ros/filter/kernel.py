@@ -569,6 +569,24 @@ def carry(E: Array, Phi: Array, C_gi_before: Array, C_gi: Array, C_sg: Array, De
 
 
 @_jit
+def _extreme_values(N):
+    """Return the least and the largest eigenvalue of a symmetric matrix (3, 3).
+
+    In closed form (Smith, Communications of the ACM 4(4), 1961), good to rounding of the largest.
+    """
+    mean = (N[0, 0] + N[1, 1] + N[2, 2]) / 3.0
+    a, b, c = N[0, 0] - mean, N[1, 1] - mean, N[2, 2] - mean
+    x, y, z = N[0, 1], N[0, 2], N[1, 2]
+    spread = np.sqrt((a * a + b * b + c * c + 2.0 * (x * x + y * y + z * z)) / 6.0)
+    if spread == 0.0:
+        return mean, mean
+    determinant = a * (b * c - z * z) - x * (x * c - y * z) + y * (x * z - b * y)
+    angle = np.arccos(min(max(0.5 * determinant / spread**3, -1.0), 1.0)) / 3.0
+    return (mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0),
+            mean + 2.0 * spread * np.cos(angle))
+
+
+@_jit
 def _direct(H, C, rate_s, u_i, uv, magnitude, half, d, along):
     """As `hypotheses.direct`: the dense columns to d, those of the cells to along."""
     corner = np.sqrt(half[0] * half[0] + half[1] * half[1])
@@ -671,8 +689,8 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                 N[i, j] = G[i, j] / _TURN / _TURN
         judged[r] = False
         if used > 2 and spread[r] < SPREAD and np.isfinite(nis[r]):
-            values = np.linalg.eigvalsh(N)
-            judged[r] = values[0] > BLIND * values[2] and _factored(N, L_N[r])
+            least, most = _extreme_values(N)
+            judged[r] = least > BLIND * most and _factored(N, L_N[r])
         if judged[r]:
             for i in range(3):
                 value = v[i]

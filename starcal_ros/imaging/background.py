@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, median_filter
-from scipy.stats import norm
 
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.core.distributions import normal_cdf, normal_isf, normal_pdf
 
 Image = NDArray[np.float32]
 
@@ -112,8 +112,9 @@ def _cut(tiles: Image, cut: float) -> Array:
     """Return the noise (n, 1) of tiles that are cut off below, Eq. (B.1); 0 of the others."""
     part = np.mean(tiles <= cut, axis=1, keepdims=True)
     is_cut = (part > _CUT_PART[0]) & (part < _CUT_PART[1])
-    z = norm.ppf(np.clip(part, *_CUT_PART))
-    factor = norm.pdf(z) / norm.sf(z) - z
+    part = np.clip(part, *_CUT_PART)
+    z = -normal_isf(part)
+    factor = normal_pdf(z) / normal_cdf(-z) - z
     highest: Array = np.full_like(part, np.inf)
     noise: Array = np.zeros_like(part)
     for _ in range(_ROUNDS):
