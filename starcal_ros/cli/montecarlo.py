@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     parts = out.with_name(out.name + '.parts')
     outputs.claim([out, out.with_suffix('.npz')], [options.config], options.overwrite, parts)
     with cluster.spread(options.dask), progress('running') as on_progress:
-        results = montecarlo.run(study, parts, on_progress=on_progress)
+        results = montecarlo.run(study, parts, on_progress, bounded=True)
     summary = montecarlo.finish(study, results, out, parts)
     from starcal_ros import report
     for point in summary.get('points', [summary]):

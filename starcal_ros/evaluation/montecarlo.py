@@ -105,8 +105,9 @@ class MonteCarlo:
 
 
 def run(study: MonteCarlo, parts: Path,
-        on_progress: Callable[[float], None] = lambda part: None) -> list[Runs]:
-    """Run a study, or what is missing of it, and the bound at each value (`bound_at`).
+        on_progress: Callable[[float], None] = lambda part: None, bounded: bool = False
+        ) -> list[Runs]:
+    """Run a study, or what is missing of it.
 
     Parameters
     ----------
@@ -116,6 +117,8 @@ def run(study: MonteCarlo, parts: Path,
         Folder of the finished batches.
     on_progress : callable
         Called with the part done, 0 to 1.
+    bounded : bool
+        Make the bound at each value, too, for `bound_at`.
 
     Returns
     -------
@@ -128,7 +131,8 @@ def run(study: MonteCarlo, parts: Path,
                if seed not in _seeds_done(scenario, study.judged, parts)]
     size = batch_size(len(missing), tasks.workers())
     done = 1.0 - len(missing) / (len(scenarios) * study.runs)
-    new = [scenario for scenario in scenarios if not _bound_name(scenario, parts).exists()]
+    new = [scenario for scenario in scenarios
+           if bounded and not _bound_name(scenario, parts).exists()]
     names = [_bound_name(scenario, parts) for scenario in new]
     todo: list[tuple[Any, ...]] = [(_bound_task, scenario) for scenario in new]
     for scenario in scenarios:

@@ -31,7 +31,7 @@ from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
 from starcal_ros.nodes.base.qos import message_type
-from starcal_ros.recording.bag import Bag, RecordedTopic, open_bag
+from starcal_ros.recording.bag import Bag, RecordedTopic, described, open_bag
 from starcal_ros.recording.names import CHOICES, suite_names
 
 _RESULTS = tuple(topic.recorded for topic in TOPICS if topic.result)
@@ -109,7 +109,7 @@ class Player(parameters.AnsweringNode):
         if kind is None:
             self.get_logger().warning(f'{topic.name} is not played: {topic.type} is not installed')
             return None
-        return FlowPublisher(self, kind, name, latched='transient_local' in topic.qos)
+        return FlowPublisher(self, kind, name, latched='transient_local' in described(topic.offered))
 
     def _laps(self, bag: Bag, publishers: dict[str, FlowPublisher], start_ns: int, loop: bool
               ) -> Iterator[Item]:

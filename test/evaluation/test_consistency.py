@@ -14,6 +14,7 @@ from starcal_ros.evaluation import bounds, consistency, montecarlo
 from starcal_ros.evaluation.augmented import true_values
 from starcal_ros.evaluation.batch import TrueRuns, run_batch
 from starcal_ros.evaluation.bounds import cramer_rao
+from starcal_ros.filter import arithmetic, reference
 from starcal_ros.filter.acquisition import AcquisitionError
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.calibrator import Calibrator
@@ -366,13 +367,14 @@ def wrong_R(monkeypatch):
 
 def wrong_slope(column):
     def wrong(monkeypatch):
-        predict = Filter.predict_centroids
+        predict = reference.predict
 
-        def predicted(self, nominal, u_i):
-            uv, H, in_view = predict(self, nominal, u_i)
+        def predicted(*given):
+            uv, H, in_view = predict(*given)
             H[..., column] *= 1.2
             return uv, H, in_view
-        monkeypatch.setattr(Filter, 'predict_centroids', predicted)
+        monkeypatch.setattr(reference, 'predict', predicted)
+        monkeypatch.setattr(arithmetic, 'correct', reference.correct)       # which asks for it
     return wrong
 
 

@@ -43,7 +43,7 @@ def finished(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def results(finished):
-    return montecarlo.run(STUDY, finished)
+    return montecarlo.run(STUDY, finished, bounded=True)
 
 
 def test_each_value_has_all_its_runs_in_order(results):
@@ -92,7 +92,7 @@ def test_interrupted_study_goes_on_where_it_was(results, finished, tmp_path, mon
     (parts / 'cut_off.npz.part').write_bytes(b'half a file')
     before = {name: name.stat().st_mtime_ns for name in names if name.exists()}
     progress = []
-    again = montecarlo.run(STUDY, parts, on_progress=progress.append)
+    again = montecarlo.run(STUDY, parts, progress.append, bounded=True)
     assert progress == pytest.approx([1.0 - left_out / (2 * STUDY.runs), 1.0])
     assert all(name.stat().st_mtime_ns == when for name, when in before.items())
     for runs, expected in zip(again, results):

@@ -223,8 +223,8 @@ def test_command_draws_the_figure(tmp_path):
     assert (tmp_path / 'fig9.png').read_bytes().startswith(b'\x89PNG')
 
 
-def test_unknown_table_is_refused_with_the_known_ones(capsys):
+def test_unknown_table_is_refused_with_what_is_near(capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main(['reproduce', 'table9'])
     assert ended.value.code == 2
-    assert 'table4' in capsys.readouterr().err
+    assert 'did you mean table5?' in capsys.readouterr().err

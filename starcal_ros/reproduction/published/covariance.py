@@ -24,7 +24,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Run the scenario many times and hold the errors to the bound and to the covariance."""
     study = MonteCarlo(scenario, runs)
-    results, = montecarlo.run(study, work, on_progress=on_progress)
+    results, = montecarlo.run(study, work, on_progress, bounded=True)
     summary = montecarlo.summarize(
         scenario, results, montecarlo.bound_at(scenario, work))
     rows = tuple((name, state['unit'], state['rms'], state['bound'], state['ratio'],

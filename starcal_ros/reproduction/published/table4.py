@@ -48,7 +48,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
 def swept(title: str, study: MonteCarlo, paper: Mapping[str, tuple[float, ...]],
           notes: tuple[str, ...], work: Path, on_progress: Callable[[float], None]) -> Outcome:
     """Run a study and put its numbers beside those of a paper, given by state."""
-    results = montecarlo.run(study, work, on_progress=on_progress)
+    results = montecarlo.run(study, work, on_progress, bounded=True)
     points = [montecarlo.summarize(study.at(value), runs,
                                    montecarlo.bound_at(study.at(value), work))
               for value, runs in zip(study.values, results)]

@@ -19,7 +19,6 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import f as fisher
 
 from starcal_ros import calibration
 from starcal_ros.calibration import bundle_adjustment
@@ -29,6 +28,7 @@ from starcal_ros.config.models import of_intrinsics, star_gate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.distributions import f_isf
 from starcal_ros.core.statistic import ALARM, Statistic
 from starcal_ros.workflows.still_images import opencv_camera
 from starcal_ros.workflows.still_images.table import StillImages
@@ -104,7 +104,7 @@ def own_cameras(names: tuple[str, ...], spots: Observations, adjusted: Adjusted,
             CameraEstimate(alone.intrinsics, covariance, 1, int(alone.used.sum())), scenario)
         found.append(OwnCamera(
             name, values, np.sqrt(np.diag(wide)),
-            bool(fisher.sf(excess, len(own), alone.freedom) < ALARM / len(names))))
+            bool(excess > f_isf(ALARM / len(names), len(own), alone.freedom))))
     return tuple(found)
 
 
