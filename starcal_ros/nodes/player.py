@@ -109,7 +109,8 @@ class Player(parameters.AnsweringNode):
         if kind is None:
             self.get_logger().warning(f'{topic.name} is not played: {topic.type} is not installed')
             return None
-        return FlowPublisher(self, kind, name, latched='transient_local' in described(topic.offered))
+        latched = 'transient_local' in described(topic.offered)
+        return FlowPublisher(self, kind, name, latched=latched)
 
     def _laps(self, bag: Bag, publishers: dict[str, FlowPublisher], start_ns: int, loop: bool
               ) -> Iterator[Item]:

@@ -211,5 +211,5 @@ def test_tolerances_are_those_of_the_diagnostics():
 def test_without_ros_the_command_says_what_is_missing(monkeypatch, capsys):
     monkeypatch.setattr(node_program, 'find_spec', lambda name: None)
     assert cli.main(['watch']) == 1
-    assert "starcal watch: error: no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'" \
-        in ' '.join(capsys.readouterr().err.split())
+    assert ('starcal watch: error: no ROS 2 here (rclpy): source a distribution, or pip install '
+            "'.[ros]'") in ' '.join(capsys.readouterr().err.split())
