@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,13 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.calibrator import FrameResult
 from starcal_ros.filter.states import EPSILON
 from starcal_ros.messages import conventions, topics
 from starcal_ros.messages.conventions import (CALIBRATED_FRAME, GYRO_FRAME, INERTIAL_FRAME,
                                               OPTICAL_FRAME)
+
+if TYPE_CHECKING:
+    from starcal_ros.filter.calibrator import FrameResult
 
 _RESIDUALS = {'u': 'f8', 'v': 'f8', 'du': 'f8', 'dv': 'f8', 'catalog_id': 'u4', 'nis': 'f4',
               'accepted': 'u1'}
