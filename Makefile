@@ -25,9 +25,11 @@ demo: .venv/installed
 	.venv/bin/starcal demo
 	@echo; ls -lR demo
 
-# On two cores, each file of tests on one of them, with one thread of its own.
+# On two cores, each file of tests on one of them, with one thread of its own; then those of the
+# nodes, of which a test starts up to six, with the machine to themselves.
 test: .venv/installed browser
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile test
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile --ignore test/nodes test
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest test/nodes
 
 # A browser that the report is tested in; without one those tests are skipped.
 browser:
