@@ -24,21 +24,29 @@ SCENARIO = TAN2018.replace({'simulation.real_time_factor': 0.0,
                             'simulation.wait_for_simulators': 1})
 START_S = unix_ns(SCENARIO.simulation.start_utc) * 1e-9
 NAMES = ('gyro_sim', 'star_tracker_sim')
-NEWEST = QoSProfile(depth=1)
 
 
 @pytest.fixture
-def newest(peer):
-    """Return a function that gives the newest stamp of a simulator, since the start [s]."""
-    heard = {'gyro_sim': peer.listen(Imu, 'imu/data_raw', NEWEST),
-             'star_tracker_sim': peer.listen(PointCloud2, 'star_tracker/centroids', NEWEST)}
+def heard(peer):
+    """Return stamp, since the start [s], and time of sending [ns] of what simulators publish."""
+    found = {name: [] for name in NAMES}
 
-    def read(name):
-        messages = heard[name]
-        del messages[:-1]
-        stamp = messages[-1].header.stamp if messages else None
-        return stamp.sec - START_S + stamp.nanosec * 1e-9 if stamp else -1.0
-    return read
+    def keep(name):
+        def take(message, info):
+            stamp = message.header.stamp
+            found[name].append((stamp.sec - START_S + stamp.nanosec * 1e-9,
+                                info['source_timestamp']))
+        return take
+    for name, kind, topic in (('gyro_sim', Imu, 'imu/data_raw'),
+                              ('star_tracker_sim', PointCloud2, 'star_tracker/centroids')):
+        peer.node.create_subscription(kind, topic, keep(name), QoSProfile(depth=1000))
+    return found
+
+
+@pytest.fixture
+def newest(heard):
+    """Return a function that gives the newest stamp of a simulator, since the start [s]."""
+    return lambda name: heard[name][-1][0] if heard[name] else -1.0
 
 
 def passes(peer, seconds):
@@ -49,7 +57,7 @@ def passes(peer, seconds):
 
 @pytest.mark.parametrize('slow, fast', [NAMES, NAMES[::-1]])
 def test_one_that_stands_holds_up_the_other_until_it_goes_on_or_leaves(
-        start, peer, newest, tmp_path, slow, fast):
+        start, peer, heard, newest, tmp_path, slow, fast):
     config = tmp_path / 'config.yaml'
     config.write_text(parameter_file.dump(SCENARIO))
     processes = {fast: start(fast, '--params-file', str(config))}
@@ -59,8 +67,7 @@ def test_one_that_stands_holds_up_the_other_until_it_goes_on_or_leaves(
     processes[slow] = start(slow, '--params-file', str(config))
     peer.until(lambda: min(map(newest, NAMES)) > 2.0 * LEAD_S)
     processes[slow].send_signal(signal.SIGSTOP)
-    # Alone it would go on by hundreds of seconds a second. What the other published last may have
-    # been lost on the way, for who stands can not repeat it: that one's own stamps tell nothing.
+    # Alone it would go on by hundreds of seconds a second.
     stood = []
 
     def stands():
@@ -68,7 +75,12 @@ def test_one_that_stands_holds_up_the_other_until_it_goes_on_or_leaves(
         passes(peer, 0.7)
         return newest(fast) == stood[-1]
     peer.until(stands)
+    resumed_ns = time.time_ns()
     processes[slow].send_signal(signal.SIGCONT)
+    # What the other published last may have been lost on the way: going on, it repeats that first.
+    peer.until(lambda: heard[slow][-1][1] > resumed_ns)
+    reached = max(stamp for stamp, sent_ns in heard[slow] if sent_ns < resumed_ns)
+    assert stood[-1] <= reached + LEAD_S
     peer.until(lambda: min(map(newest, NAMES)) > stood[-1] + 3.0 * LEAD_S)
     processes[slow].send_signal(signal.SIGINT)
     assert processes[slow].wait(PATIENCE_S) == 0
