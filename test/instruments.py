@@ -6,6 +6,7 @@ All is read of the shipped file, whose numbers `test_parameter_file.py` holds ag
 """
 
 from functools import partial
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 from starcal_ros.calibration import invariants
@@ -51,3 +52,11 @@ def calibrated(stated, simulated=None, spoil=None):
 def failed(calibrator):
     """Return the names of the tests of the model that fail."""
     return {each.name for each in calibrator.consistency.statistics() if not each.passed}
+
+
+def script(name):
+    """Return a script of the repository as a module."""
+    spec = spec_from_file_location(name, TOP / 'scripts' / f'{name}.py')
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -3,13 +3,14 @@
 """The page of promises agrees with what was measured, and each test that it names exists."""
 
 import ast
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 import re
 import subprocess
 import sys
 
 import pytest
+
+import instruments
 
 TOP = Path(__file__).parents[1]
 PAGE = (TOP / 'docs' / 'reliability.md').read_text()
@@ -18,10 +19,7 @@ PAGE = (TOP / 'docs' / 'reliability.md').read_text()
 @pytest.fixture(scope='module')
 def script():
     """Return the script that writes the page."""
-    spec = spec_from_file_location('make_reliability', TOP / 'scripts' / 'make_reliability.py')
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return instruments.script('make_reliability')
 
 
 @pytest.fixture(scope='module')

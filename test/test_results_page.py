@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The results page holds the numbers of docs/results.json and nothing else."""
 
-from importlib.util import module_from_spec, spec_from_file_location
 import json
 from pathlib import Path
 import re
@@ -11,6 +10,7 @@ import sys
 from PIL import Image
 import pytest
 
+import instruments
 from starcal_ros.reproduction import published
 
 TOP = Path(__file__).parents[1]
@@ -23,10 +23,7 @@ T18 = {'table3', 'table4', 'table5', *(f'fig{k}' for k in range(3, 10))}
 @pytest.fixture(scope='module')
 def make_results():
     """Return the script that writes the page."""
-    spec = spec_from_file_location('make_results', TOP / 'scripts' / 'make_results.py')
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return instruments.script('make_results')
 
 
 def outcome(title, notes=('A note.',), rows=({'state': 'f', 'ours': 0.12345},)):
