@@ -45,9 +45,11 @@ MIN_STARS = 3
 """Stars that must agree before an attitude is believed."""
 WIDE = 3.0
 """Predicted spread of a centroid, in its sigmas, from which on the stars judge each other."""
+MOST_TORN = 0.75
+"""Part of the stars that is used of a frame with an unseen turn, at most."""
+TORN = 3.0
+"""Their NIS over its degrees of freedom, at least."""
 
-_MOST = 0.75            # part of the stars that is used of a frame with an unseen turn, at most
-_TORN = 3.0             # their NIS over its degrees of freedom, at least
 _LINEAR = 100.0         # turn that one step of the filter takes, in sigmas of a star
 _ITERATIONS = 10
 _ROBUST_ITERATIONS = 30
@@ -135,8 +137,8 @@ def is_torn(stars: Stars, update: Update) -> bool:
     are rejected and the others are all off: stars that are wrong would leave the rest as it is.
     """
     used, usable = int(update.accepted.sum()), int(np.isfinite(stars.sigma).sum())
-    return (usable >= MIN_STARS and used <= _MOST * usable
-            and (not used or bool(update.nis > _TORN * 2 * used)))
+    return (usable >= MIN_STARS and used <= MOST_TORN * usable
+            and (not used or bool(update.nis > TORN * 2 * used)))
 
 
 def turned(filter_: Filter, belief: Belief, stars: Stars) -> Stars | None:

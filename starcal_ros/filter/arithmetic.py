@@ -15,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 try:
-    from starcal_ros.filter.kernel import COMPILED, bends, carry, correct, judge, propagate, tally
+    from starcal_ros.filter.kernel import (COMPILED, advance, bends, carry, correct, judge,
+                                           propagate, tally)
 except (ImportError, RuntimeError) as error:        # no numba, or nowhere to keep its cache
     if not isinstance(error, ModuleNotFoundError):
         print(f'starcal_ros: the filter runs uncompiled: {error}', file=sys.stderr)
-    from starcal_ros.filter.reference import (COMPILED, bends, carry, correct, judge, propagate,
-                                              tally)
+    from starcal_ros.filter.reference import (COMPILED, advance, bends, carry, correct, judge,
+                                              propagate, tally)
 
-__all__ = ['COMPILED', 'LeadingAxes', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally']
+__all__ = ['COMPILED', 'LeadingAxes', 'advance', 'bends', 'carry', 'correct', 'judge', 'propagate',
+           'tally']
 
 
 class LeadingAxes:

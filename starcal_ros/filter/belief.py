@@ -76,6 +76,11 @@ class Nominal:
         return Nominal(C_gi, self.bias, self.C_sg, self.intrinsics, self.augmented, reading,
                        self.augmentation)
 
+    def moved(self, C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, reading: Array
+              ) -> Nominal:
+        """Return other values of T18's states at another time, the optional ones these."""
+        return Nominal(C_gi, bias, C_sg, intrinsics, self.augmented, reading, self.augmentation)
+
     def set_to(self, C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array
                ) -> Nominal:
         """Return these values freed of an error, those of T18's states being known already."""

@@ -31,6 +31,7 @@ from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.noise import Noise, noise_of
+from starcal_ros.filter.ordinary_frames import OrdinaryFrames, can_do
 from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
 from starcal_ros.filter.trail import TrailTest
 from starcal_ros.measurements import preintegration
@@ -104,6 +105,17 @@ class FrameResult(NamedTuple):
     nis: float
     linear: bool
     track: AttitudeTrack
+
+
+class _Prepared(NamedTuple):
+    """Frames and what they need, all of them made at once; ordinary where there may be some."""
+
+    frames: Frames
+    stars: Stars
+    samples: GyroSamples
+    cuts: Ints
+    gyro: Preintegrated
+    ordinary: OrdinaryFrames | None
 
 
 class Calibrator:
@@ -312,60 +324,117 @@ class Calibrator:
             yield from self._process(frames[low:high], tracked)
 
     def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
+        prepared = self._prepared(frames)
+        k = 0
+        while k < len(frames):
+            track = self._track(int(frames.stamp_ns[k])) if tracked else AttitudeTrack.empty()
+            results = self._ordinary(prepared, k, track, 1 if tracked else len(frames))
+            if results:
+                yield from results
+                k += len(results)
+                continue
+            result = self._single(prepared, k, track)
+            if result is not None:
+                yield result
+            k += 1
+        self._gyro.forget_before(self.stamp_ns)
+
+    def _prepared(self, frames: Frames) -> _Prepared:
         stars = self._directions.of(frames, self._notices)
         self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())
         begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
         cuts = np.concatenate(([begin], frames.stamp_ns))
         samples = self._gyro.since(begin)
         gyro = self._integrated(samples, cuts, self.filter.start)
-        for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
-            rows = slice(frames.first[k], frames.first[k + 1])
-            frame = self.noise.of_stars(stars.take(rows))
-            belief = self.belief
-            if belief is not None:
-                interval, before = gyro.take(k), belief.nominal
-                # By what is believed now alone: not on how many frames came at once.
-                if self.filter.strays(before, interval):
-                    interval = self._integrated(samples, cuts[k:k + 2], before).take(0)
-                belief, Phi = self.filter.propagated(belief, interval)
-                self.consistency.carry(interval, before, belief.nominal, Phi)
-            track = self._track(stamp_ns) if tracked else AttitudeTrack.empty()
-            self.stamp_ns = stamp_ns
+        ordinary = (OrdinaryFrames(gyro, frames, self.noise.of_stars(stars))
+                    if can_do(self.filter) else None)
+        return _Prepared(frames, stars, samples, cuts, gyro, ordinary)
+
+    def _ordinary(self, prepared: _Prepared, k: int, track: AttitudeTrack, most: int
+                  ) -> list[FrameResult]:
+        """Process the frames from the k-th on that need no second look; most often many."""
+        belief, tests, frames = self.belief, self.consistency, prepared.frames
+        if (prepared.ordinary is None or belief is None or self._lost or self._trail_test.open
+                or self._rejected_in_a_row >= self._patience or self._as_linear
+                or tests.scores is not None):
+            return []
+        found = prepared.ordinary.advance(
+            k, min(most, tests.until_due), self.filter, belief, tests)
+        n = len(found.nis)
+        if not n:
+            return []
+        rows = slice(frames.first[k], frames.first[k + n])
+        first = frames.first[k:k + n + 1] - frames.first[k]
+        usable = np.isfinite(prepared.stars.sigma[rows])
+        found.residual[~usable] = found.chi2[~usable] = np.nan
+        stamps, results = frames.stamp_ns[k:k + n], []
+        for row, stamp_ns in enumerate(stamps.tolist()):
+            stars = slice(first[row], first[row + 1])
+            own = slice(rows.start + stars.start, rows.start + stars.stop)
+            after = Belief(belief.nominal.moved(
+                found.C_gi[row], found.bias[row], found.C_sg[row], found.intrinsics[row],
+                prepared.gyro.reading[k + row]), belief.error, found.root[row])
+            results.append(FrameResult(
+                stamp_ns, after, frames.uv_raster[own], found.residual[stars], found.chi2[stars],
+                found.accepted[stars], frames.catalog_id[own], float(found.nis[row]), True, track))
+            self._remember(stamp_ns, found.squares[row], int(found.used[row]))
+        self.stamp_ns = stamp_ns
+        self._rejected_in_a_row = self._torn_in_a_row = 0
+        used = int(found.used.sum())
+        self._count(n, used, int(usable.sum()) - used)
+        tests.met(stamps, found)
+        self.belief = self._answered(after)
+        return [*results[:-1], results[-1]._replace(belief=self.belief)]
+
+    def _single(self, prepared: _Prepared, k: int, track: AttitudeTrack) -> FrameResult | None:
+        """Process one frame, whatever it is like."""
+        frames, stamp_ns = prepared.frames, int(prepared.frames.stamp_ns[k])
+        rows = slice(frames.first[k], frames.first[k + 1])
+        frame = self.noise.of_stars(prepared.stars.take(rows))
+        belief = self.belief
+        if belief is not None:
+            interval, before = prepared.gyro.take(k), belief.nominal
+            # By what is believed now alone: not on how many frames came at once.
+            if self.filter.strays(before, interval):
+                interval = self._integrated(
+                    prepared.samples, prepared.cuts[k:k + 2], before).take(0)
+            belief, Phi = self.filter.propagated(belief, interval)
+            self.consistency.carry(interval, before, belief.nominal, Phi)
+        self.stamp_ns = stamp_ns
+        self.counts.empty_frames += not np.isfinite(frame.sigma).any()
+        acquired = self.counts.acquisitions
+        start = self._with_attitude(belief, frame, prepared.gyro.reading[k])
+        if start is None:
             self.counts.frames += 1
-            self.counts.empty_frames += not np.isfinite(frame.sigma).any()
-            acquired = self.counts.acquisitions
-            start = self._with_attitude(belief, frame, gyro.reading[k])
-            if start is None:
-                continue
-            belief, frame = start
-            try:
-                update = self.filter.update(belief, frame, judged=True)
-                if self.counts.acquisitions == acquired:
-                    belief, frame, update = self._together(belief, frame, update)
-                self.consistency.meet(stamp_ns, belief.nominal, frame, update,
-                                      frames.catalog_id[rows], frames.magnitude[rows])
-                answered = self._answered(update.belief)
-            except np.linalg.LinAlgError:
-                answered = None
-            if answered is None or not answered.is_finite:
-                self._notices.once('finite', f'the frame at {stamp_ns} ns leaves nothing finite: '
-                                   'not used, what was believed before it stands')
-                self._set_back()
-                continue
-            self.belief = answered
-            if self._trail_test.denies(self.filter, belief.nominal, frame, update):
-                self._rest(stamp_ns)
-            found = self.noise.settle(self.consistency)
-            if found or self.noise.known == self._as_linear:
-                self.filter = self._tracker.filter = self._filter()
-            usable = np.isfinite(stars.sigma[rows])
-            self._account(update, usable)
-            yield FrameResult(stamp_ns, self.belief, frames.uv_raster[rows],
-                              np.where(usable[:, None], update.residual, np.nan),
-                              np.where(usable, update.chi2, np.nan), update.accepted,
-                              frames.catalog_id[rows], float(update.nis),
-                              bool(update.linear), track)
-        self._gyro.forget_before(self.stamp_ns)
+            return None
+        belief, frame = start
+        try:
+            update = self.filter.update(belief, frame, judged=True)
+            if self.counts.acquisitions == acquired:
+                belief, frame, update = self._together(belief, frame, update)
+            self.consistency.meet(stamp_ns, belief.nominal, frame, update,
+                                  frames.catalog_id[rows], frames.magnitude[rows])
+            answered = self._answered(update.belief)
+        except np.linalg.LinAlgError:
+            answered = None
+        if answered is None or not answered.is_finite:
+            self.counts.frames += 1
+            self._notices.once('finite', f'the frame at {stamp_ns} ns leaves nothing finite: '
+                               'not used, what was believed before it stands')
+            self._set_back()
+            return None
+        self.belief = answered
+        if self._trail_test.denies(self.filter, belief.nominal, frame, update):
+            self._rest(stamp_ns)
+        found = self.noise.settle(self.consistency)
+        if found or self.noise.known == self._as_linear:
+            self.filter = self._tracker.filter = self._filter()
+        usable = np.isfinite(prepared.stars.sigma[rows])
+        self._account(update, usable)
+        return FrameResult(stamp_ns, self.belief, frames.uv_raster[rows],
+                           np.where(usable[:, None], update.residual, np.nan),
+                           np.where(usable, update.chi2, np.nan), update.accepted,
+                           frames.catalog_id[rows], float(update.nis), bool(update.linear), track)
 
     def _rest(self, stamp_ns: int) -> None:
         """Take the stars for such as do not trail; what was judged so far does not count."""
@@ -447,15 +516,21 @@ class Calibrator:
     def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())
         rejected = int(usable.sum()) - used
-        self.counts.stars += used
-        self.counts.rejected_stars += rejected
         self._rejected_in_a_row = self._rejected_in_a_row + 1 if rejected > used else 0
-        self.consistency.account(used, rejected, self._lost)
-        self._lost = False
+        self._count(1, used, rejected)
         if self._rejected_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
             self._notices.say(f'most stars rejected in {self._patience} frames up to '
                               f'{self.stamp_ns} ns: the attitude is sought afresh')
-        squares = np.sum(update.residual[update.accepted]**2, axis=0)
-        self._recent.append((self.stamp_ns, squares, used))
-        while self._recent[0][0] < self.stamp_ns - REPROJECTION_S / NS:
+        self._remember(self.stamp_ns, np.sum(update.residual[update.accepted]**2, axis=0), used)
+
+    def _count(self, frames: int, used: int, rejected: int) -> None:
+        self.counts.frames += frames
+        self.counts.stars += used
+        self.counts.rejected_stars += rejected
+        self.consistency.account(used, rejected, self._lost)
+        self._lost = False
+
+    def _remember(self, stamp_ns: int, squares: Array, used: int) -> None:
+        self._recent.append((stamp_ns, squares, used))
+        while self._recent[0][0] < stamp_ns - REPROJECTION_S / NS:
             self._recent.popleft()

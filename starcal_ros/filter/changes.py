@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core.arrays import Array
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.statistic import ALARM, chi2_beyond
 from starcal_ros.core.utc import utc_text
 from starcal_ros.filter.hypotheses import CHANGING, DRIFTS, HYPOTHESES, STEP_NUMBERS, STEPS
@@ -130,6 +130,17 @@ class Changes:
             self._since_ns = stamp_ns
         self._frames += 1
         return self._frames % STRIDE == 0
+
+    @property
+    def until_due(self) -> int:
+        """Frames up to the one after which a candidate is to begin, that one included."""
+        return STRIDE - self._frames % STRIDE
+
+    def pass_over(self, stamp_ns: Ints) -> None:
+        """Count frames after which none is to begin."""
+        if self._frames == 0 and len(stamp_ns):
+            self._since_ns = int(stamp_ns[0])
+        self._frames += len(stamp_ns)
 
     def begin(self, stamp_ns: int, clean: bool, responses: Responses) -> None:
         """Let a candidate begin.

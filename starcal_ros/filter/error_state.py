@@ -135,8 +135,8 @@ class Filter:
         options = scenario.estimator
         self.detector = detector(scenario.camera)
         tracker = scenario.star_tracker
-        self._trail_s = (tracker.exposure_s / (np.sqrt(12.0) * scenario.image.psf_sigma_px)
-                         if tracker.smear else 0.0)
+        self.trail_s = (tracker.exposure_s / (np.sqrt(12.0) * scenario.image.psf_sigma_px)
+                        if tracker.smear else 0.0)
         self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
         self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
         self.gate = star_gate(options)
@@ -156,8 +156,8 @@ class Filter:
         if covariance is not None:
             self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
                 covariance / np.outer(SCALE[CALIBRATED], SCALE[CALIBRATED]))
-        self._curvature = Curvature(self.detector, self.start.intrinsics)
-        self._cos_field = float(np.cos(camera.field_of_view(
+        self.curvature = Curvature(self.detector, self.start.intrinsics)
+        self.cos_field = float(np.cos(camera.field_of_view(
             self.detector, self.start.intrinsics, _FIELD).radius))
 
     def begin(self, C_gi: Array) -> Belief:
@@ -189,12 +189,12 @@ class Filter:
     @property
     def trails(self) -> bool:
         """Whether stars are taken to trail while the camera turns."""
-        return self._trail_s > 0.0
+        return self.trail_s > 0.0
 
     def untrailed(self) -> Filter:
         """Return the filter for stars that do not trail."""
         changed = copy(self)
-        changed._trail_s = 0.0
+        changed.trail_s = 0.0
         return changed
 
     def as_linear(self) -> Filter:
@@ -287,7 +287,7 @@ class Filter:
             False for a star that lies well outside the field of view; its row means nothing.
         """
         return reference.predict(*self._seen(nominal), nominal.intrinsics, u_i,
-                                 self.detector.pitch_mm, self._cos_field)
+                                 self.detector.pitch_mm, self.cos_field)
 
     def whitened(self, nominal: Nominal, H: Array, z: Array) -> tuple[Array, Array]:
         """Return derivatives and residuals of centroids in which their noise has no direction.
@@ -306,7 +306,7 @@ class Filter:
         H, z : arrays
             See `reference.whitened`.
         """
-        if not self._trail_s:
+        if not self.trail_s:
             return H, z
         return reference.whitened(H, z, self.trail(nominal, H[..., THETA]))
 
@@ -318,7 +318,7 @@ class Filter:
         rate_g = nominal.reading - nominal.bias
         if nominal.augmentation.on:
             rate_g = _times(nominal.augmentation.gain(nominal.augmented), rate_g)
-        return _times(nominal.C_sg, rate_g) * self._trail_s
+        return _times(nominal.C_sg, rate_g) * self.trail_s
 
     @staticmethod
     def _seen(nominal: Nominal) -> tuple[Array, Array, Array]:
@@ -358,14 +358,14 @@ class Filter:
         runs, left_out = arithmetic.LeadingAxes(batch), np.zeros(stars.sigma.shape)
         if gated and not self.taken_as_linear:
             left_out = self._left_out(belief, stars, C_si, left_out)
-        trail = (self._turn_of_exposure(nominal) if self._trail_s
+        trail = (self._turn_of_exposure(nominal) if self.trail_s
                  else np.zeros(nominal.bias.shape))
         after = arithmetic.correct(
             runs(nominal.C_gi, 2), runs(nominal.bias, 1), runs(nominal.C_sg, 2),
             runs(nominal.intrinsics, 1), runs(belief.error, 1), runs(belief.root, 2),
             runs(C_si, 2), runs(shift, 2), runs(slopes, 2), runs(trail, 1), runs(stars.u_i, 2),
             runs(stars.uv, 2), runs(stars.sigma, 1), runs(left_out, 1), self.scale,
-            self.detector.pitch_mm, self._cos_field, self.gate if gated else np.inf, self.feedback)
+            self.detector.pitch_mm, self.cos_field, self.gate if gated else np.inf, self.feedback)
         found = reference.Corrected(*(runs.back(part) for part in after))
         if self.feedback:
             nominal = nominal.set_to(found.C_gi, found.bias, found.C_sg, found.intrinsics,
@@ -377,15 +377,15 @@ class Filter:
 
     def _left_out(self, belief: Belief, stars: Stars, C_si: Array, nothing: Array) -> Array:
         """Return what the linear model leaves out of each centroid; most often nothing."""
-        nominal, curvature = belief.nominal, self._curvature
+        nominal, curvature = belief.nominal, self.curvature
         runs = arithmetic.LeadingAxes(belief.error.shape[:-1])
         if not arithmetic.bends(
                 runs(C_si, 2), runs(stars.u_i, 2), runs(stars.sigma, 1), runs(belief.error, 1),
                 runs(belief.root, 2), runs(nominal.intrinsics, 1), curvature.shift,
-                curvature.largest, self.detector.pitch_mm, self._cos_field):
+                curvature.largest, self.detector.pitch_mm, self.cos_field):
             return nothing
         r_s = stars.u_i @ np.swapaxes(C_si, -1, -2)
-        in_view = reference.in_view(r_s, self._cos_field)
+        in_view = reference.in_view(r_s, self.cos_field)
         usable = in_view & ~np.any(belief.error != 0.0, axis=-1, keepdims=True)
         return curvature.left_out(
             np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0)), nominal.intrinsics,

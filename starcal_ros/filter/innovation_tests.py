@@ -34,7 +34,7 @@ no margin is given to what biases it: mean, correlation, displaced stars.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,7 +79,8 @@ class InnovationTests:
         self._run, self._window = np.zeros(SUMS), np.zeros(SUMS)
         self._worst = {'turn': 0.0, 'rest': 0.0}        # of all windows, in sigmas
         self._windows = 0
-        self._last, self._follows = np.zeros(3), False      # e of the frame before
+        self._last = np.zeros(3)                            # e of the frame before,
+        self._follows = np.zeros(1, np.bool_)               # where there was one
         self._stars = _Stars()
         self._bins = {'cell': _Bins.empty(CELLS * CELLS),
                       'magnitude': _Bins.empty(len(MAGNITUDES) + 1)}
@@ -93,10 +94,27 @@ class InnovationTests:
     def add(self, frame: FrameInnovation) -> bool:
         """Take what a frame says; return whether it was the last of a window."""
         stars = self._stars
-        arithmetic.tally(frame, self._run, self._window, self._last, self._follows,
+        arithmetic.tally(frame, self._run, self._window, self._last, bool(self._follows[0]),
                          stars.rows(frame.catalog_id), stars.frames, stars.sums,
                          *self._bins['cell'], *self._bins['magnitude'])
-        self._follows = True
+        self._follows[0] = True
+        return self.end_window()
+
+    def rows(self, catalog_id: Ints) -> Ints:
+        """Return where some stars stand in `sums`."""
+        return self._stars.rows(catalog_id)
+
+    def sums(self) -> tuple[Any, ...]:
+        """Return what `tally` adds to, for frames that are added in one go.
+
+        The sums of the run and of the window, e of the frame before and whether there was one,
+        frames and sums of each star, number and squares of each cell and each magnitude.
+        """
+        return (self._run, self._window, self._last, self._follows, self._stars.frames,
+                self._stars.sums, *self._bins['cell'], *self._bins['magnitude'])
+
+    def end_window(self) -> bool:
+        """End the window where it is full; return whether it was."""
         if self._window[FRAMES] < WINDOW:
             return False
         self._windows += 1
@@ -110,7 +128,7 @@ class InnovationTests:
 
     def pass_over(self) -> None:
         """Know of a frame that tells nothing: the next one has no neighbour."""
-        self._follows = False
+        self._follows[0] = False
 
     def account(self, used: int, rejected: int, lost: bool) -> None:
         """Count the stars of a frame, and whether the attitude was lost before it."""

@@ -18,9 +18,9 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.filter import stretch
 from starcal_ros.filter.curvature import MATTERS, REPEATS
 from starcal_ros.filter.frame_innovation import (ALONG, BLIND, CELLS, FRAMES, FREEDOM, LAG,
                                                  MAGNITUDES, PAIRS, RATE, REST, SPREAD, SUMS, TURN,
@@ -31,10 +31,12 @@ from starcal_ros.filter.hypotheses import (CELL, DRIFTS, KM_S, LENS_TERMS, MAGNI
 from starcal_ros.filter.reference import Carried, Corrected, TurnFound
 from starcal_ros.filter.responses import WIDTH
 from starcal_ros.filter.states import LENS, SCALE
+from starcal_ros.filter.stretch import ready
 
 COMPILED = True
 
 _jit: Any = partial(numba.njit, cache=True, error_model='numpy')
+_typeof: Any = numba.typeof
 
 _TURN, _PSI, _LENS, _N = SCALE[0], 6, LENS.start, LENS.stop
 _SCALE_U, _SCALE_V = SCALE[LENS.start], SCALE[LENS.start + 1]
@@ -258,8 +260,8 @@ def propagate(C_gi: Array, C_sg: Array, error: Array, root: Array, Delta: Array,
     """Do as `reference.propagate`."""
     after = Carried(np.empty(C_gi.shape), np.empty(error.shape), np.empty(root.shape),
                     np.empty(root.shape))
-    _propagate(*map(_ready, (C_gi, C_sg, error, root, Delta, turn, J_b, slopes, sigma, duration,
-                             density, scale)), *after)
+    _propagate(*map(ready, (C_gi, C_sg, error, root, Delta, turn, J_b, slopes, sigma, duration,
+                            density, scale)), *after)
     return after
 
 
@@ -349,7 +351,7 @@ def _bends(C_si, u_i, sigma, error, root, intrinsics, shift, largest, pitch_mm, 
 def bends(C_si: Array, u_i: Array, sigma: Array, error: Array, root: Array, intrinsics: Array,
           shift: Array, largest: Array, pitch_mm: float, cos_field: float) -> bool:
     """Do as `reference.bends`."""
-    return bool(_bends(*map(_ready, (C_si, u_i, sigma, error, root, intrinsics, shift, largest)),
+    return bool(_bends(*map(ready, (C_si, u_i, sigma, error, root, intrinsics, shift, largest)),
                        pitch_mm, cos_field))
 
 
@@ -521,8 +523,8 @@ def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Arr
         np.empty(sigma.shape), np.empty(sigma.shape, np.bool_), np.empty(uv.shape),
         np.empty(runs), np.empty(runs), np.empty((runs, rows)), np.empty((runs, rows, n)),
         np.empty((runs, rows, n)), np.empty(root.shape))
-    if not _correct(*map(_ready, (C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes,
-                                  trail, u_i, uv, sigma, left_out, scale)),
+    if not _correct(*map(ready, (C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes,
+                                 trail, u_i, uv, sigma, left_out, scale)),
                     pitch_mm, cos_field, gate, feedback, *after):
         raise np.linalg.LinAlgError("no Cholesky factor of I + M'M")
     return after
@@ -565,7 +567,7 @@ def _carry(E, Phi, C_gi_before, C_gi, C_sg, Delta, J, duration, drift):
 def carry(E: Array, Phi: Array, C_gi_before: Array, C_gi: Array, C_sg: Array, Delta: Array,
           J: Array, duration: Array) -> None:
     """Do as `reference.carry`."""
-    _carry(E, *map(_ready, (Phi, C_gi_before, C_gi, C_sg, Delta, J, duration)), _HOURLY)
+    _carry(E, *map(ready, (Phi, C_gi_before, C_gi, C_sg, Delta, J, duration)), _HOURLY)
 
 
 @_jit
@@ -789,8 +791,8 @@ def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Arra
     found = TurnFound(
         np.empty(runs, np.bool_), np.empty((runs, 3)), np.empty((runs, 3, 3)), np.empty(uv.shape),
         np.empty(sigma.shape, np.int64), np.empty(runs))
-    _judge(*map(_ready, (z, H, M, L, root)), E, s, information,
-           *map(_ready, (C_si, rate_s, u_i, uv, sigma, magnitude, accepted, spread, nis, half)),
+    _judge(*map(ready, (z, H, M, L, root)), E, s, information,
+           *map(ready, (C_si, rate_s, u_i, uv, sigma, magnitude, accepted, spread, nis, half)),
            *found)
     return found
 
@@ -836,11 +838,142 @@ def tally(frame: FrameInnovation, run: Array, window: Array, last: Array, follow
           magnitude_count: Ints, magnitude_squares: Array) -> None:
     """Do as `frame_innovation.tally`."""
     e, L, nis, used, rate, _, normal, cell, magnitude = frame
-    _tally(*map(_ready, (e, L)), nis, used, *map(_ready, (rate, normal, cell, magnitude)), run,
-           window, last, follows, _ready(rows), star_frames, star_sums, cell_count, cell_squares,
+    _tally(*map(ready, (e, L)), nis, used, *map(ready, (rate, normal, cell, magnitude)), run,
+           window, last, follows, ready(rows), star_frames, star_sums, cell_count, cell_squares,
            magnitude_count, magnitude_squares)
 
 
-def _ready(part: NDArray[Any]) -> NDArray[Any]:
-    """Return an array as the compiled functions take it: contiguous and writable."""
-    return part if part.flags.carray else np.array(part, order='C')
+# Ordinary frames, one after the other
+
+# Plain tuples: a class in its place would stand in the cache on disk by its name.
+@_jit((*(_typeof(tuple(part)) for part in stretch.example()), numba.int64))
+def _advance(belief, constants, intervals, stars, sums, out, most):
+    # All that a frame needs, in the order of `calibrator`; nothing is written before it is known
+    # that the frame is an ordinary one.
+    C_gi, bias, C_sg, intrinsics, root = belief
+    (density, scale, lens_shift, largest, half, hourly, walk, gap_acceleration, trail_s, pitch_mm,
+     cos_field, gate, guarded, largest_correction, sigma_acquired, wide, most_torn, torn_nis,
+     least_stars, window_frames) = constants
+    Delta, J, durations, gap_turn, reading, reference = intervals
+    begin, all_u_i, all_uv, all_sigma, all_magnitude, row = stars
+    (E, s, information, run, window, last_e, follows, star_frames, star_sums, cell_count,
+     cell_squares, magnitude_count, magnitude_squares) = sums
+    (C_gi_out, bias_out, C_sg_out, intrinsics_out, root_out, nis_out, used_out, log_det_out,
+     squares_out, chi2_out, accepted_out, residual_out) = out
+    n = root.shape[1]
+    error, slopes, shift = np.zeros((1, n)), np.zeros((1, 3, 0)), np.eye(3).reshape(1, 3, 3)
+    drift, sigma = np.empty((1, 3)), np.empty(1)
+    C_gi_1, error_1, root_1, Phi = (np.empty((1, 3, 3)), np.empty((1, n)), np.empty((1, n, n)),
+                                    np.empty((1, n, n)))
+    C_si, rate, trail = np.empty((1, 3, 3)), np.empty((1, 3)), np.empty((1, 3))
+    error_2, root_2, freed = np.empty((1, n)), np.empty((1, n, n)), np.empty((1, n))
+    C_gi_2, bias_2, C_sg_2, intrinsics_2 = (np.empty((1, 3, 3)), np.empty((1, 3)),
+                                            np.empty((1, 3, 3)), np.empty((1, 7)))
+    nis, spread, L = np.empty(1), np.empty(1), np.empty((1, n, n))
+    judged, e, L_N, log_det = (np.empty(1, np.bool_), np.empty((1, 3)), np.empty((1, 3, 3)),
+                               np.empty(1))
+    for k in range(most):
+        first, last = begin[k], begin[k + 1]
+        count, usable = last - first, 0
+        for star in range(first, last):
+            usable += np.isfinite(all_sigma[star])
+        if not usable:
+            return k
+        # The interval
+        duration, square = durations[k], 0.0
+        for i in range(3):
+            rate[0, i] = bias[0, i] - reference[i]
+            square += rate[0, i] * rate[0, i]
+        if np.sqrt(square) * duration > largest_correction:
+            return k
+        for i in range(3):
+            drift[0, i] = (J[k, i, 0] * rate[0, 0] + J[k, i, 1] * rate[0, 1]
+                           + J[k, i, 2] * rate[0, 2])
+        hidden = gap_acceleration * gap_turn[k]
+        sigma[0] = np.sqrt(walk * walk * duration + hidden * hidden)
+        _propagate(C_gi, C_sg, error, root, Delta[k:k + 1], drift, J[k:k + 1], slopes, sigma,
+                   durations[k:k + 1], density, scale, C_gi_1, error_1, root_1, Phi)
+        for i in range(3):
+            square = 0.0
+            for j in range(n):
+                square += root_1[0, i, j] * root_1[0, i, j]
+            if not _TURN * np.sqrt(square) <= sigma_acquired:
+                return k
+        # The frame
+        _product(C_sg[0], C_gi_1[0], C_si[0])
+        for i in range(3):
+            value = 0.0
+            for j in range(3):
+                value += C_sg[0, i, j] * (reading[k, j] - bias[0, j])
+            rate[0, i], trail[0, i] = value, value * trail_s
+        u_i = all_u_i[first:last].reshape(1, count, 3)
+        uv = all_uv[first:last].reshape(1, count, 2)
+        deviation = all_sigma[first:last].reshape(1, count)
+        if guarded and _bends(C_si, u_i, deviation, error, root_1, intrinsics, lens_shift, largest,
+                              pitch_mm, cos_field):
+            return k
+        chi2 = chi2_out[first:last].reshape(1, count)
+        accepted = accepted_out[first:last].reshape(1, count)
+        residual = residual_out[first:last].reshape(1, count, 2)
+        z, H, M = (np.empty((1, 2 * count)), np.empty((1, 2 * count, n)),
+                   np.empty((1, 2 * count, n)))
+        if not _correct(
+                C_gi_1, bias, C_sg, intrinsics, error, root_1, C_si, shift, slopes, trail, u_i,
+                uv, deviation, np.zeros((1, count)), scale, pitch_mm, cos_field, gate, True,
+                error_2, root_2, C_gi_2, bias_2, C_sg_2, intrinsics_2, freed, chi2, accepted,
+                residual, nis, spread, z, H, M, L):
+            return k
+        used = 0
+        for star in range(count):
+            used += accepted[0, star]
+        torn = (usable >= least_stars and used <= most_torn * usable
+                and nis[0] > torn_nis * 2 * used)
+        total = root_2.sum() + C_gi_2.sum() + C_sg_2.sum() + bias_2.sum() + intrinsics_2.sum()
+        if not spread[0] <= wide or torn or usable - used > used or not np.isfinite(total):
+            return k
+        # The tests of the model
+        _carry(E, Phi, C_gi, C_gi_1, C_sg, Delta[k:k + 1], J[k:k + 1], durations[k:k + 1], hourly)
+        normal, cell = np.empty((1, count, 2)), np.empty((1, count), np.int64)
+        _judge(z, H, M, L, root_2, E, s, information, C_si, rate, u_i, uv, deviation,
+               all_magnitude[first:last].reshape(1, count), accepted, spread, nis, half, judged,
+               e, L_N, normal, cell, log_det)
+        if judged[0]:
+            chosen = np.flatnonzero(accepted[0])
+            _tally(e[0], L_N[0], nis[0], used, rate[0], normal[0][chosen], cell[0][chosen],
+                   all_magnitude[first:last][chosen], run, window, last_e, follows[0],
+                   row[first:last][chosen], star_frames, star_sums, cell_count, cell_squares,
+                   magnitude_count, magnitude_squares)
+        follows[0] = judged[0]
+        C_gi[:], bias[:], C_sg[:], intrinsics[:], root[:] = (
+            C_gi_2, bias_2, C_sg_2, intrinsics_2, root_2)
+        C_gi_out[k], bias_out[k], C_sg_out[k], intrinsics_out[k], root_out[k] = (
+            C_gi[0], bias[0], C_sg[0], intrinsics[0], root[0])
+        nis_out[k], used_out[k], log_det_out[k] = nis[0], used, log_det[0]
+        squares_out[k] = 0.0
+        for star in range(count):
+            if accepted[0, star]:
+                for i in range(2):
+                    squares_out[k, i] += residual[0, star, i] * residual[0, star, i]
+        if window[FRAMES] >= window_frames:
+            return k + 1
+    return most
+
+
+def advance(belief: stretch.Values, constants: stretch.Constants, intervals: stretch.Intervals,
+            stars: stretch.StretchStars, sums: stretch.TestSums, out: stretch.Gained, most: int
+            ) -> int:
+    """Process ordinary frames up to the first that is none, or the end of a window.
+
+    Parameters
+    ----------
+    belief, constants, intervals, stars, sums, out
+        As described in `stretch`; belief and sums are changed, out is written.
+    most : int
+        Frames, at most.
+
+    Returns
+    -------
+    int
+        Number of frames that were processed.
+    """
+    return int(_advance(*map(tuple, (belief, constants, intervals, stars, sums, out)), most))

@@ -59,22 +59,22 @@ class Likelihood:
         self._first_ns: int | None = None
         self.twice_log: Array = np.zeros(())
 
-    def add(self, stamp_ns: int, used: Ints, log_det: Array, nis: Array) -> None:
-        """Take a frame in.
+    def add(self, stamp_ns: Ints, used: Ints, log_det: Array, nis: Array) -> None:
+        """Take frames in, one after the other.
 
         Parameters
         ----------
-        stamp_ns : int
-        used : (...) int64 array
+        stamp_ns : (m,) int64 array
+        used : (m, ...) int64 array
             Number of stars that were used.
-        log_det : (...) array
+        log_det : (m, ...) array
             Their ln det S.
-        nis : (...) array
+        nis : (m, ...) array
             Their z' S^-1 z.
         """
         if self._first_ns is None:
-            self._first_ns = stamp_ns
-        if (stamp_ns - self._first_ns) * NS < BEGIN_S:
-            return
-        self.twice_log = self.twice_log + np.where(
-            np.isfinite(nis), used * self._free - log_det - nis, 0.0)
+            self._first_ns = int(stamp_ns[0])
+        begun = (stamp_ns - self._first_ns) * NS >= BEGIN_S
+        gains = np.where(np.isfinite(nis), used * self._free - log_det - nis, 0.0)[begun]
+        for gain in gains:              # in the same order, however many come at once
+            self.twice_log = self.twice_log + gain

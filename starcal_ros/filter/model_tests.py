@@ -38,6 +38,7 @@ from starcal_ros.filter.likelihood import Likelihood
 from starcal_ros.filter.noise_levels import Scores
 from starcal_ros.filter.responses import WIDTH, Fit, Responses
 from starcal_ros.filter.states import THETA
+from starcal_ros.filter.stretch import Gained, TestSums
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
@@ -191,7 +192,8 @@ class ModelTests:
         # The scatter of a frame that is believed less is not what is stated.
         judged = found.judged & np.ravel(update.linear)
         used = update.accepted.sum(axis=-1)
-        self.likelihood.add(stamp_ns, used, runs.back(found.log_det), update.nis)
+        self.likelihood.add(np.array([stamp_ns]), used[None], runs.back(found.log_det)[None],
+                            update.nis[None])
         if self.scores is not None:
             turn = float(found.e[0] @ found.e[0]) if judged[0] else 0.0
             self.scores.meet(said, float(update.nis) - turn, 2 * int(used) - 3, bool(judged[0]))
@@ -207,6 +209,29 @@ class ModelTests:
                 magnitude[run][use])) or ended
         if ended:
             self._keep(stamp_ns)
+
+    @property
+    def until_due(self) -> int:
+        """Frames up to the one that `answer` looks at, that one included."""
+        return self._changes.until_due
+
+    def rows(self, catalog_id: Ints) -> Ints:
+        """Return where stars stand in `sums`, of one run."""
+        return self._tests[()].rows(catalog_id)
+
+    def sums(self) -> TestSums:
+        """Return what frames add to that are processed in one go, of one run."""
+        responses = self._responses
+        return TestSums(responses.E[None], responses.s[None], responses.information[None],
+                        *self._tests[()].sums())
+
+    def met(self, stamp_ns: Ints, found: Gained) -> None:
+        """Know of frames that were added to `sums`; to be followed by `answer` of the last."""
+        self._root = found.root[-1]
+        self.likelihood.add(stamp_ns, found.used, found.log_det, found.nis)
+        self._changes.pass_over(stamp_ns[:-1])
+        if self._tests[()].end_window():
+            self._keep(int(stamp_ns[-1]))
 
     def account(self, used: int, rejected: int, lost: bool) -> None:
         """Count the stars of a frame, and whether the attitude was lost before it, of one run."""

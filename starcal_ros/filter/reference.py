@@ -17,8 +17,9 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter import curvature, hypotheses, likelihood, process_noise, responses
 from starcal_ros.filter.frame_innovation import BLIND, SPREAD, cell_of, tally
 from starcal_ros.filter.states import EPSILON, LENS, PSI, SCALE, THETA
+from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, TestSums, Values
 
-__all__ = ['COMPILED', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally']
+__all__ = ['COMPILED', 'advance', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally']
 
 COMPILED = False
 
@@ -367,6 +368,12 @@ def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Arra
     e = np.asarray(np.linalg.solve(root_N, v[..., None])[..., 0], np.float64)
     return TurnFound(np.asarray(judged), e, root_N, normal, cell_of(uv, half),
                      likelihood.log_det(sigma, accepted, L))
+
+
+def advance(belief: Values, constants: Constants, intervals: Intervals, stars: StretchStars,
+            sums: TestSums, out: Gained, most: int) -> int:
+    """Process no frame: one after the other is what the calibrator does with the rest of this."""
+    return 0
 
 
 def _apply(H: Array, x: Array) -> Array:

@@ -32,10 +32,15 @@ class TrailTest:
     ----------
     trails : bool
         Whether stars are taken to trail; if not, there is nothing to test.
+
+    Attributes
+    ----------
+    open : bool
+        Whether there is still something to find out.
     """
 
     def __init__(self, trails: bool) -> None:
-        self._open, self._evidence = trails, 0.0
+        self.open, self._evidence = trails, 0.0
 
     def denies(self, filter_: Filter, predicted: Nominal, stars: Stars, update: Update) -> bool:
         """Take a frame; return true once, when it is beyond doubt that the stars do not trail.
@@ -51,7 +56,7 @@ class TrailTest:
             What it did, with its evidence.
         """
         said = update.evidence
-        if not self._open or said is None or not update.linear:
+        if not self.open or said is None or not update.linear:
             return False
         _, H, _ = filter_.predict_centroids(predicted, stars.u_i)
         trail = filter_.trail(predicted, H[..., THETA])
@@ -68,5 +73,5 @@ class TrailTest:
         trailing, resting = 1.0 + m, 1.0 - squared + m
         self._evidence += 0.5 * float(np.sum(
             w2 / trailing - w2 / resting + np.log(trailing / resting)))
-        self._open = abs(self._evidence) < _BEYOND_DOUBT
+        self.open = abs(self._evidence) < _BEYOND_DOUBT
         return self._evidence >= _BEYOND_DOUBT

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled arithmetic is that of the reference, for any states, and run by run."""
 
+from dataclasses import replace
+from functools import partial
 import os
 import subprocess
 import sys
@@ -19,8 +21,8 @@ from starcal_ros.filter.states import SCALE
 from starcal_ros.simulation import sensors
 
 RUNS, STARS = 5, 9
-CURVATURE = Filter(TAN2018)._curvature
-FUNCTIONS = ('bends', 'carry', 'correct', 'judge', 'propagate', 'tally')
+CURVATURE = Filter(TAN2018).curvature
+FUNCTIONS = ('advance', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally')
 OPTIONAL = {'estimator.augment.time_offset_sigma_s': 0.005,
             'estimator.augment.gyro_matrix_sigma_ppm': 500.0}
 
@@ -195,6 +197,67 @@ def test_a_calibration_is_that_of_the_reference(optional, monkeypatch):
     for left, right in zip(*(each.consistency.statistics() for each in found)):
         assert left.name == right.name
         assert left.value == pytest.approx(right.value, rel=1e-6, abs=1e-6)
+
+
+KNOWN_CAMERA = {        # from before, so that the first frames are linear
+    'camera.focal_length_mm': 25.6, 'camera.principal_point_px': [5.0, 10.0],
+    'camera.distortion': [2e-4, -1e-6, 2e-5, 2e-5],
+    'estimator.initial_sigma.focal_length_mm': 1e-3,
+    'estimator.initial_sigma.principal_point_px': 0.1, 'estimator.initial_sigma.k1': 1e-6,
+    'estimator.initial_sigma.k2': 1e-8, 'estimator.initial_sigma.p1': 1e-6,
+    'estimator.initial_sigma.p2': 1e-6}
+
+
+def disturbed(samples, frames):
+    """Return a run with a silence, a frame without stars, and one of which most are wrong."""
+    keep = np.ones(len(samples), bool)
+    keep[4000:5500] = False
+    uv = frames.uv_raster.copy()
+    wrong = slice(frames.first[170], frames.first[170] + 15)
+    uv[wrong] += np.random.default_rng(1).normal(0.0, 20.0, size=uv[wrong].shape)
+    dark = slice(frames.first[60], frames.first[61])
+    uv[dark] = np.nan
+    return samples.take(keep), replace(frames, uv_raster=uv)
+
+
+def test_ordinary_frames_done_in_one_go_are_those_done_singly(monkeypatch):
+    """To 1e-9 of a sigma, whatever comes between them, and all that is told of each frame."""
+    scenario = TAN2018.replace({'simulation.duration_s': 120.0, **KNOWN_CAMERA})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    samples, frames = disturbed(gyro.next(gyro.count), tracker.next(tracker.count))
+    found = []
+    for part in (kernel, reference):
+        monkeypatch.setattr(arithmetic, 'advance', part.advance)
+        calibrator = Calibrator(scenario)
+        singly = []
+        monkeypatch.setattr(calibrator, '_single', partial(
+            lambda single, *given: singly.append(given[1]) or single(*given),
+            calibrator._single))
+        calibrator.add_gyro(samples)
+        calibrator.add_frames(frames)
+        found.append((calibrator, list(calibrator.process()), singly))
+    (fast, results, few), (slow, expected, all_frames) = found
+    assert 3 <= len(few) < 40 and all_frames == list(range(240))
+    assert fast.counts == slow.counts and fast.counts.empty_frames == 1
+    assert fast.stamp_ns == slow.stamp_ns and fast.take_notices() == slow.take_notices()
+    np.testing.assert_allclose(fast.reprojection_rms_px, slow.reprojection_rms_px, rtol=1e-9)
+    for left, right in zip(results, expected, strict=True):
+        error = left.belief.estimate.minus(right.belief.estimate)
+        assert (np.abs(error) < 1e-9 * right.belief.sigma).all()
+        np.testing.assert_allclose(left.belief.sigma, right.belief.sigma, rtol=1e-9)
+        np.testing.assert_array_equal(left.belief.nominal.reading, right.belief.nominal.reading)
+        assert (left.stamp_ns, left.linear) == (right.stamp_ns, right.linear)
+        for name in ('uv_raster', 'accepted', 'catalog_id'):
+            np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+        for name in ('residual', 'chi2', 'nis'):
+            np.testing.assert_allclose(getattr(left, name), getattr(right, name), rtol=1e-6,
+                                       atol=1e-8)
+    for left, right in zip(*(each.consistency.statistics() for each in (fast, slow)),
+                           strict=True):
+        assert left._replace(value=right.value, gain=right.gain, fits=right.fits) == right
+        assert left.value == pytest.approx(right.value, rel=1e-6, abs=1e-6)
+    assert float(fast.consistency.likelihood.twice_log) == pytest.approx(
+        float(slow.consistency.likelihood.twice_log), rel=1e-9)
 
 
 def test_without_numba_the_reference_runs():

@@ -58,7 +58,8 @@ def test_likelihood_is_that_of_the_innovations_against_stars_anywhere():
     said = kalman.evidence(innovation, H / sigma[:, None, None], use, root)
     likelihood = Likelihood(DETECTOR)
     for stamp_ns in (0, round(BEGIN_S * 1e9)):              # the first is left out
-        likelihood.add(stamp_ns, use.sum(), log_det(sigma, use, said.L), nis)
+        likelihood.add(np.array([stamp_ns]), use.sum()[None],
+                       log_det(sigma, use, said.L)[None], nis[None])
     rows = H[use].reshape(6, 5)
     S = rows @ root @ root.T @ rows.T + np.diag(np.repeat(sigma[use], 2)**2)
     inside = multivariate_normal(np.zeros(6), S).logpdf(z[use].ravel())

@@ -1,0 +1,101 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The frames of which a calibrator need know nothing but what they gave: many in one call.
+
+Most frames are like the one before: the attitude is known, no interval has to be composed afresh,
+the linear model holds, the stars agree, nothing ends. The compiled function does these one after
+the other and stops before the first that is not so, having changed nothing by it. Whether a frame
+is done so follows from what is believed before it alone, never from how many come at once: live
+and offline, each alone or in thousands, the same bits come out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from starcal_ros.filter import arithmetic, hypotheses
+from starcal_ros.filter.acquisition import MIN_STARS, MOST_TORN, TORN, WIDE
+from starcal_ros.filter.belief import Belief
+from starcal_ros.filter.error_state import LARGEST_CORRECTION, SIGMA_ACQUIRED, Filter
+from starcal_ros.filter.innovation_tests import WINDOW
+from starcal_ros.filter.model_tests import ModelTests
+from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, Values, ready
+from starcal_ros.measurements.preintegration import Preintegrated
+from starcal_ros.measurements.samples import Frames, Stars
+
+
+def can_do(filter_: Filter) -> bool:
+    """Tell whether the compiled function knows a filter: T18's states, with feedback."""
+    return arithmetic.COMPILED and filter_.feedback and not filter_.augmentation.size
+
+
+class OrdinaryFrames:
+    """Some frames, with what the gyro says of the time before each.
+
+    Parameters
+    ----------
+    gyro : Preintegrated
+        An interval a frame.
+    frames : Frames
+    stars : Stars
+        Theirs, with the sigmas that they have.
+    """
+
+    def __init__(self, gyro: Preintegrated, frames: Frames, stars: Stars) -> None:
+        assert gyro.bias is not None
+        self._intervals = Intervals(ready(gyro.Delta), ready(gyro.J), ready(gyro.duration),
+                                    ready(gyro.gap_turn), ready(gyro.reading), ready(gyro.bias[0]))
+        self._frames, self._first = frames, frames.first
+        self._stars = Stars(*map(ready, stars))
+        self._magnitude = ready(frames.magnitude)
+        self._filter: Filter | None = None
+
+    def advance(self, k: int, most: int, filter_: Filter, belief: Belief, tests: ModelTests
+                ) -> Gained:
+        """Process frames from the k-th on.
+
+        Parameters
+        ----------
+        k : int
+        most : int
+            Frames, at most.
+        filter_ : Filter
+            One that `can_do` knows.
+        belief : Belief
+            Before them.
+        tests : ModelTests
+            Whose sums they are added to; to be told of what came out (`ModelTests.met`).
+
+        Returns
+        -------
+        Gained
+            Of as many frames as were ordinary.
+        """
+        if filter_ is not self._filter:
+            self._filter, self._constants = filter_, _constants(filter_)
+        now, stars = belief.nominal, self._stars
+        until = min(k + most, len(self._frames))
+        first = self._first[k:until + 1]
+        low, high = int(first[0]), int(first[-1])
+        rows = tests.rows(self._frames.catalog_id[low:high])
+        out = Gained.room(until - k, high - low)
+        done = arithmetic.advance(
+            Values(*(part[None].copy() for part in (
+                now.C_gi, now.bias, now.C_sg, now.intrinsics, belief.root))),
+            self._constants,
+            self._intervals.part(k, until),
+            StretchStars(first - low, stars.u_i[low:high], stars.uv[low:high],
+                         stars.sigma[low:high], self._magnitude[low:high], rows),
+            tests.sums(), out, until - k)
+        return out.of(done, int(first[done]) - low)
+
+
+def _constants(filter_: Filter) -> Constants:
+    detector, curvature = filter_.detector, filter_.curvature
+    return Constants(
+        ready(filter_.density), ready(filter_.scale), ready(curvature.shift),
+        ready(curvature.largest), np.array([0.5 * detector.width, 0.5 * detector.height]),
+        hypotheses.hourly().copy(), float(filter_.walk), float(filter_.gap_acceleration),
+        float(filter_.trail_s), float(detector.pitch_mm), float(filter_.cos_field),
+        float(filter_.gate), not filter_.taken_as_linear, LARGEST_CORRECTION, SIGMA_ACQUIRED,
+        WIDE, MOST_TORN, TORN, MIN_STARS, float(WINDOW))
