@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import kalman
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import FrameResult
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.filter.verdict import equivalent_sigma
@@ -95,11 +97,7 @@ class _Row(NamedTuple):
     """What is kept of a frame; its stars are copied, since a part of a batch holds all of it."""
 
     stamp_ns: int
-    bias: Array
-    C_sg: Array
-    intrinsics: Array
-    sigma: Array
-    root: Array
+    belief: Belief
     nis: float
     stars: tuple[Array, Array, Mask, Array]
 
@@ -188,22 +186,21 @@ class HistoryKeeper:
 
 
 def _row(frame: FrameResult, stated: Array) -> _Row:
-    estimate = frame.belief.estimate
-    return _Row(frame.stamp_ns, estimate.bias, estimate.C_sg, estimate.intrinsics,
-                frame.belief.sigma, frame.belief.state_root, frame.nis,
+    return _Row(frame.stamp_ns, frame.belief, frame.nis,
                 (frame.uv_raster.copy(), frame.residual.copy(), frame.accepted.copy(),
                  stated.copy()))
 
 
 def _block(rows: list[_Row], pitch_mm: float) -> _Block:
-    n = len(rows)
-    intrinsics = np.array([row.intrinsics for row in rows]).reshape(n, 7)
-    root = np.array([row.root for row in rows]).reshape(n, N_STATES, N_STATES)
+    if not rows:
+        return _Block((
+            np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 7)),
+            np.empty((0, N_STATES)), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64)), [])
+    belief = Belief.stacked([row.belief for row in rows])
+    estimate, root = belief.estimate, belief.state_root
     return _Block((
-        np.array([row.stamp_ns for row in rows], np.int64),
-        np.array([row.bias for row in rows]).reshape(n, 3),
-        np.array([row.C_sg for row in rows]).reshape(n, 3, 3), intrinsics,
-        np.array([row.sigma for row in rows]).reshape(n, N_STATES),
-        equivalent_sigma(root, intrinsics, pitch_mm), np.array([row.nis for row in rows]),
-        np.array([row.stars[2].sum() for row in rows], np.int64)),
-        [row.stars for row in rows])
+        np.array([row.stamp_ns for row in rows]), estimate.bias, estimate.C_sg,
+        estimate.intrinsics, kalman.sigma_of(root),
+        equivalent_sigma(root, estimate.intrinsics, pitch_mm),
+        np.array([row.nis for row in rows]),
+        np.array([row.stars[2].sum() for row in rows])), [row.stars for row in rows])

@@ -34,7 +34,7 @@ the second beside it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import erfa
 import numpy as np
@@ -53,6 +53,7 @@ EARTH_RADIUS = 6378136.6
 OBSERVERS = ('barycentre', 'geocentre', 'orbit')
 
 _DAY_NS = 86_400_000_000_000
+_NODE_NS = 600_000_000_000
 _TT_MINUS_TAI_NS = 32_184_000_000
 _JD_1970 = 2440587.5
 _JD_J1991_25 = 2448349.0625
@@ -173,15 +174,48 @@ def apparent_places(catalog: Catalog, rows: Ints, stamp_ns: ArrayLike,
     if observer.velocity == 'barycentre':
         return np.asarray(erfa.pmpx(*place, 0.0, 0.0, years, np.zeros(3)))
 
-    earth_heliocentric, earth_barycentric = erfa.epv00(day, fraction)
+    earth_heliocentric, earth_barycentric = _earth(stamp_ns)
     state = np.empty(len(day), erfa.dt_pv)
     state['p'], state['v'] = observer.geocentric_state(stamp_ns)
-    frame = erfa.apcs(day, fraction, state, earth_barycentric, earth_heliocentric['p'])
+    frame = erfa.apcs(day, fraction, state, earth_barycentric, earth_heliocentric)
     from_barycentre, from_sun, sun_distance_au, v_over_c, inverse_gamma = (
         np.repeat(frame[name], counts, axis=0) for name in ('eb', 'eh', 'em', 'v', 'bm1'))
     u_i = erfa.pmpx(*place, catalog.parallax_arcsec[rows], 0.0, years, from_barycentre)
     u_i = erfa.ldsun(u_i, from_sun, sun_distance_au)
     return np.asarray(erfa.ab(u_i, v_over_c, sun_distance_au, inverse_gamma))
+
+
+def _earth(stamp_ns: ArrayLike) -> tuple[Array, Array]:
+    """Return where the Earth is: from the Sun, (n, 3) [au], and its barycentric state, (n,).
+
+    The cubics that meet place and velocity of ``epv00`` every ten minutes, on a grid that does
+    not depend on the stamps; they keep it to 0.1 m and 0.1 mm/s.
+    """
+    node, rest_ns = np.divmod(tai_ns(stamp_ns) + _TT_MINUS_TAI_NS, _NODE_NS)
+    step = _NODE_NS / _DAY_NS
+    nodes, row = np.unique(node, return_inverse=True)
+    states = np.array([(_earth_at(each), _earth_at(each + 1)) for each in nodes.tolist()])
+    states = states.reshape(-1, 2, 2, 2, 3)[row]
+    (p_0, v_0), (p_1, v_1) = (np.moveaxis(states[:, k], 1, 0) for k in range(2))
+    s = (rest_ns / _NODE_NS)[:, None, None]
+    place = (p_0 + s * s * (3.0 - 2.0 * s) * (p_1 - p_0)
+             + s * (1.0 - s) * step * ((1.0 - s) * v_0 - s * v_1))
+    velocity = (6.0 * s * (1.0 - s) * (p_1 - p_0) / step
+                + (1.0 - s) * (1.0 - 3.0 * s) * v_0 + s * (3.0 * s - 2.0) * v_1)
+    barycentric = np.empty(len(node), erfa.dt_pv)
+    barycentric['p'], barycentric['v'] = place[:, 1], velocity[:, 1]
+    return place[:, 0], barycentric
+
+
+@lru_cache(maxsize=1024)
+def _earth_at(node: int) -> Array:
+    """Return place and velocity of the Earth at a node, (2, 2, 3) [au, au/d].
+
+    The second axis: from the Sun, from the barycentre.
+    """
+    day, rest_ns = divmod(node * _NODE_NS, _DAY_NS)
+    states = erfa.epv00(_JD_1970 + day, rest_ns / _DAY_NS)
+    return np.array([[state[name] for state in states] for name in ('p', 'v')])
 
 
 def tt_julian_date(stamp_ns: ArrayLike) -> tuple[Array, Array]:
