@@ -16,10 +16,10 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.files.output import write_text
-from starcal_ros.recording.topic_choice import TopicChoice
 
 if TYPE_CHECKING:
     from starcal_ros.filter.calibrator import Calibrator
+    from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.results.store import CalibrationStore
 
 DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
@@ -52,8 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.results import export, result
-    scenario = arguments.scenario_of(options.bag, options, ('estimator',))
+    recording = RecordingStream(options.bag, choice=arguments.topics(options))
+    scenario = arguments.scenario_of(options.bag, options, ('estimator',), recording.attachments)
     folder = Path(options.export) if options.export else None
     if folder is not None:
         outputs.make_folder(folder)
@@ -62,18 +64,18 @@ def run(options: argparse.Namespace) -> int:
          *([folder / name for name in export.NAMES] if folder else [])],
         [options.bag, options.config, *_saved(scenario).folders()], options.overwrite)
     calibrator, outcome = calibrate_recording(
-        options.bag, scenario, Path(options.out),
+        recording, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
-        Path(options.report) if options.report else None, folder, arguments.topics(options),
+        Path(options.report) if options.report else None, folder,
         options.adopt, checked=not options.no_check)
     show_json(outcome)
     return STATUS[result.word(calibrator)]
 
 
-def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
-                        page: Path | None, folder: Path | None = None,
-                        choice: TopicChoice = TopicChoice(), adopt: bool = False,
-                        checked: bool = True) -> tuple[Calibrator, dict[str, Any]]:
+def calibrate_recording(recording: RecordingStream, scenario: Scenario, out: Path,
+                        figure: Path | None, page: Path | None, folder: Path | None = None,
+                        adopt: bool = False, checked: bool = True
+                        ) -> tuple[Calibrator, dict[str, Any]]:
     """Calibrate a recording, write the result and show it; return the final state and it."""
     from starcal_ros import report
     from starcal_ros.filter import explanations, verdict
@@ -81,10 +83,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     from starcal_ros.filter.offline import calibrate_source
     from starcal_ros.filter.progress import Progress
     from starcal_ros.recording.reader import CONFIG_ATTACHMENT
-    from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.results import export, initial, result
     from starcal_ros.results.attached_truth import attached_truth
-    recording = RecordingStream(bag, choice=choice)
     contradictions = list(_contradictions(
         recording.attachments.get(CONFIG_ATTACHMENT), scenario))
     for text in contradictions:
@@ -128,7 +128,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     truth, doubts = attached_truth(recording.attachments)
     for text in doubts:
         say(f'warning: {text}')
-    show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
+    show(report.table(report.rows(outcome, truth), f'Calibration of {recording.path}'))
     show(report.summary(outcome))
     for level in outcome['noise_levels']:
         show(f'Noise: {level["sentence"]}')

@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.checks.finding import proposed
     from starcal_ros.recording.recording_stream import RecordingStream
-    scenario = arguments.scenario_of(options.bag, options, ('estimator',))
-    outputs.claim([options.write], [options.bag, options.config], options.overwrite)
     recording = RecordingStream(options.bag, choice=arguments.topics(options))
+    scenario = arguments.scenario_of(options.bag, options, ('estimator',), recording.attachments)
+    outputs.claim([options.write], [options.bag, options.config], options.overwrite)
     checked = check_recording(recording, scenario)
     for text in recording.warnings:
         say(f'warning: {text}')

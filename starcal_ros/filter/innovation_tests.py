@@ -192,18 +192,27 @@ class _Stars:
     """The innovations of each star: how often it was used, and the sums of its coordinates."""
 
     def __init__(self) -> None:
-        self._row: dict[int, int] = {}
+        # Sorted, and behind all of them a number that no star has; its row is that of none.
+        self._known, self._row = np.array([np.iinfo(np.int64).max]), np.zeros(1, np.int64)
         self.frames, self.sums = np.zeros(64), np.zeros((64, 2))
 
     def rows(self, catalog_id: Ints) -> Ints:
         """Return where some stars stand, room made for new ones."""
-        row = self._row
-        rows = np.array([row.setdefault(number, len(row)) for number in catalog_id.tolist()], int)
-        if len(row) > len(self.frames):
-            more = len(row)                                 # room for twice as many
+        place = np.searchsorted(self._known, catalog_id)
+        if (self._known[place] != catalog_id).any():
+            self._make_room(np.setdiff1d(catalog_id, self._known))
+            place = np.searchsorted(self._known, catalog_id)
+        return self._row[place]
+
+    def _make_room(self, fresh: Ints) -> None:
+        numbers = np.concatenate((self._known, fresh))
+        rows = np.concatenate((self._row, np.arange(len(self._row), len(numbers))))
+        order = np.argsort(numbers)
+        self._known, self._row = numbers[order], rows[order]
+        if len(rows) > len(self.frames):
+            more = len(rows)                                # room for twice as many
             self.frames = np.append(self.frames, np.zeros(more))
             self.sums = np.append(self.sums, np.zeros((more, 2)), axis=0)
-        return rows
 
     def worst(self) -> tuple[float, int]:
         """Return the sum that is furthest off, as a normal deviate, and of how many stars."""
