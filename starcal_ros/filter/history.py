@@ -17,7 +17,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import kalman
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.calibrator import FrameResult
+from starcal_ros.filter.frame_result import FrameResult
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.filter.verdict import equivalent_sigma
 from starcal_ros.measurements.samples import Frames

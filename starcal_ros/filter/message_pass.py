@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from starcal_ros.filter.calibrator import Calibrator, FrameResult
+from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.frame_result import FrameResult
 from starcal_ros.measurements.message_source import MessageBatch, MessageSource
 
 _TOLD = 100             # frames between two words of progress

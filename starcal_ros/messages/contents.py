@@ -26,7 +26,7 @@ from starcal_ros.messages.conventions import (CALIBRATED_FRAME, GYRO_FRAME, INER
                                               OPTICAL_FRAME)
 
 if TYPE_CHECKING:
-    from starcal_ros.filter.calibrator import FrameResult
+    from starcal_ros.filter.frame_result import FrameResult
 
 _RESIDUALS = {'u': 'f8', 'v': 'f8', 'du': 'f8', 'dv': 'f8', 'catalog_id': 'u4', 'nis': 'f4',
               'accepted': 'u1'}

@@ -7,7 +7,8 @@ from __future__ import annotations
 from diagnostic_msgs.msg import DiagnosticArray
 
 from starcal_ros.filter.attitude_track import AttitudeTrack
-from starcal_ros.filter.calibrator import Calibrator, FrameResult
+from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.frame_result import FrameResult
 from starcal_ros.messages import cdr_imu, topics
 from starcal_ros.messages.conventions import CALIBRATED_FRAME, GYRO_FRAME
 from starcal_ros.nodes.base.managed_node import ManagedNode

@@ -22,7 +22,7 @@ from rich.text import Text
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG, DEG_PER_HOUR
 from starcal_ros.files.foreign import clean
-from starcal_ros.filter.calibrator import Counts
+from starcal_ros.filter.frame_result import Counts
 from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
 from starcal_ros.messages.conventions import STATE_LAYOUT
 from starcal_ros.report.states import LABELS, UNITS, Row, short

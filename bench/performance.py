@@ -1,0 +1,64 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""All that is measured of speed: `python bench/performance.py` writes docs/performance.md.
+
+Runs the other scripts of this folder one after the other, each in a process of its own, and
+writes what they print. To be run on a machine that does nothing else; what one of them needs and
+does not find is said in its place.
+"""
+
+import ast
+from datetime import date
+from importlib.metadata import version
+import os
+from pathlib import Path
+import platform
+import subprocess
+import sys
+
+BENCH = Path(__file__).resolve().parent
+PAGE = BENCH.parent / 'docs' / 'performance.md'
+SCRIPTS = ('calibrate.py', 'filterpy_peer.py', 'frame.py', 'start.py', 'scale.py', 'live.py',
+           'gyro_reading.py', 'record.py', 'images.py', 'identify.py', 'intrinsics_methods.py',
+           'interstar.py')
+HEAD = """# Performance
+
+Written by `python bench/performance.py`, which runs the scripts of `bench/` one after the other;
+edit none of it. Times of different machines can not be compared, ratios within a script can.
+
+* {day}, {cores} cores ({processor}), Python {python}, numpy {numpy}, numba {numba}
+* one thread a library (`OPENBLAS_NUM_THREADS=1`)
+"""
+
+
+def processor() -> str:
+    """Return the name of the processor."""
+    lines = Path('/proc/cpuinfo').read_text().splitlines()
+    names = [line.partition(':')[2].strip() for line in lines if line.startswith('model name')]
+    return names[0] if names else platform.machine()
+
+
+def section(script: str) -> str:
+    """Return what a script says of itself, and what it prints."""
+    about = ast.get_docstring(ast.parse((BENCH / script).read_text())) or ''
+    title, _, rest = about.partition('\n\n')
+    print(script, file=sys.stderr, flush=True)
+    done = subprocess.run([sys.executable, str(BENCH / script)], capture_output=True, text=True,
+                          env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'})
+    last = done.stderr.strip().splitlines()[-1:] if done.returncode else []
+    printed = '\n'.join([*done.stdout.rstrip().splitlines(),
+                         *(f'ended with status {done.returncode}: {line}' for line in last)])
+    name = title.partition(':')[0].rstrip('.')
+    return f'## {name}\n\n`bench/{script}`\n\n{rest.strip()}\n\n```text\n{printed}\n```\n'
+
+
+def main() -> None:
+    """Run all of them and write the page."""
+    head = HEAD.format(
+        day=date.today().isoformat(), cores=len(os.sched_getaffinity(0)), processor=processor(),
+        python=platform.python_version(), numpy=version('numpy'), numba=version('numba'))
+    PAGE.write_text('\n'.join([head, *map(section, SCRIPTS)]))
+
+
+if __name__ == '__main__':
+    main()
