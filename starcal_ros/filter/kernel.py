@@ -43,12 +43,18 @@ _SCALE_U, _SCALE_V = SCALE[LENS.start], SCALE[LENS.start + 1]
 _HOURLY = hourly().copy()                      # (16, 4, 3): of the drifts
 _DRIFTS, _CELL = DRIFTS.start, CELL.start
 _N_DRIFTS, _N_CELLS = DRIFTS.stop - DRIFTS.start, CELL.stop - CELL.start
-# Columns of the effects that move the centroids themselves, cells aside: time, velocity, lens,
-# phases, magnitude.
-_DENSE = np.array([WIDTH * effect + column for effect, count in (
+# Columns of the effects that move the centroids themselves: time, velocity, lens, phases and
+# magnitude, which move all stars, then those of the cells, which move their own; and of these the
+# pairs that belong to one effect.
+_DENSE = [WIDTH * effect + column for effect, count in (
     (TIME, 1), (VELOCITY, 3), (LENS_TERMS, 3), (PHASE_U, 2), (PHASE_V, 2), (MAGNITUDE, 2))
-    for column in range(count)])
+    for column in range(count)]
+_PLACE = np.array([*_DENSE, *(WIDTH * (_CELL + cell) + column
+                              for cell in range(_N_CELLS) for column in range(2))])
 _N_DENSE = len(_DENSE)
+_FIRST, _SECOND = (part.copy() for part in np.nonzero(
+    _PLACE[:, None] // WIDTH == _PLACE // WIDTH))
+_N_PAIRS = int(np.sum(_FIRST < _N_DENSE))
 
 
 # Rotations, as in `core.rotation`
@@ -169,14 +175,22 @@ def _solved(L: Array, X: Array) -> None:
 
 @_jit
 def _multiplied(A: Array, B: Array, out: Array) -> None:
-    """Write A B to out."""
+    """Write A B to out: one term after the other, four of them for each way over a row."""
+    inner, columns = B.shape
+    whole = inner - inner % 4
     for i in range(A.shape[0]):
-        for c in range(B.shape[1]):
+        for c in range(columns):
             out[i, c] = 0.0
-        for k in range(A.shape[1]):
+        for k in range(0, whole, 4):
+            f, g, h, j = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
+            if f != 0.0 or g != 0.0 or h != 0.0 or j != 0.0:
+                for c in range(columns):
+                    out[i, c] = (((out[i, c] + f * B[k, c]) + g * B[k + 1, c])
+                                 + h * B[k + 2, c]) + j * B[k + 3, c]
+        for k in range(whole, inner):
             factor = A[i, k]
             if factor != 0.0:
-                for c in range(B.shape[1]):
+                for c in range(columns):
                     out[i, c] += factor * B[k, c]
 
 
@@ -620,6 +634,21 @@ def _direct(H, C, rate_s, u_i, uv, magnitude, half, d, along):
             d[i, 11], d[i, 12] = a * fainter, b * fainter
 
 
+@_jit
+def _along(E, GE, g, sized, paired):
+    """Write E'g, and the products of a column of E with its own of GE and those before it."""
+    n, columns = E.shape
+    sized[:] = 0.0
+    paired[:] = 0.0
+    for k in range(n):
+        factor = g[k]
+        for c in range(columns):
+            sized[c] += factor * E[k, c]
+        for back in range(WIDTH):
+            for c in range(back, columns):
+                paired[back, c] += E[k, c] * GE[k, c - back]
+
+
 @_jit('void(f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], '
       'f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], '
       'f8[:,::1], b1[:,::1], f8[::1], f8[::1], f8[::1], '
@@ -634,16 +663,14 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
     P, Y, G, g, y = (np.empty((n, rows)), np.empty((n, n)), np.empty((n, n)), np.empty(n),
                      np.empty(n))
     d, along = np.empty((rows, _N_DENSE)), np.empty((rows, 2))
-    wide = _N_DENSE + 2 * _N_CELLS
-    X, HSd = np.empty((n, wide)), np.empty((n, wide))       # P d, H' S^-1 d
-    dSd, dSz = np.empty((wide, wide)), np.empty(wide)
-    place = np.empty(wide, np.int64)
-    place[:_N_DENSE] = _DENSE
-    for k in range(_N_CELLS):
-        for j in range(2):
-            place[_N_DENSE + 2 * k + j] = WIDTH * (_CELL + k) + j
+    wide = len(_PLACE)
+    X, HSd, RX = np.empty((n, wide)), np.empty((n, wide)), np.empty((n, wide))  # X = P d
+    HT, YT = np.empty((n, rows)), np.empty((n, n))
+    Pd, Hd, crossed = np.empty((n, _N_DENSE)), np.empty((n, _N_DENSE)), np.empty((wide, WIDTH))
+    dSd, dSz = np.empty(len(_FIRST)), np.empty(wide)            # HSd = H' S^-1 d, and so on
     N, v = np.empty((3, 3)), np.empty(3)
-    both, F, RX = np.empty((2 * n, columns)), np.empty((2 * n, n)), np.empty((n, wide))
+    both, F = np.empty((2 * n, columns)), np.empty((2 * n, n))
+    KY, sized, paired = np.empty((n, n)), np.empty(columns), np.empty((WIDTH, columns))
     for r in range(runs):
         Hr, Mr, zr = H[r], M[r], z[r]
         used = 0
@@ -704,83 +731,84 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
             e[r] = v
         # Direct effects
         _direct(Hr, C_si[r], rate_s[r], u_i[r], uv[r], magnitude[r], half, d, along)
+        for row in range(rows):
+            for k in range(n):
+                HT[k, row] = Hr[row, k]
+        for i in range(n):
+            for k in range(n):
+                YT[i, k] = Y[k, i]
+        _multiplied(P, d, Pd)
+        _multiplied(HT, d, Hd)
         X[:] = 0.0
         HSd[:] = 0.0
+        X[:, :_N_DENSE] = Pd
+        HSd[:, :_N_DENSE] = Hd
         dSd[:] = 0.0
         dSz[:] = 0.0
         for row in range(rows):
-            base = _N_DENSE + 2 * cell[r, row // 2]
+            base, pair = _N_DENSE + 2 * cell[r, row // 2], _N_PAIRS + 4 * cell[r, row // 2]
             for k in range(n):
-                p, h = P[k, row], Hr[row, k]
-                for c in range(_N_DENSE):
-                    X[k, c] += p * d[row, c]
-                    HSd[k, c] += h * d[row, c]
                 for c in range(2):
-                    X[k, base + c] += p * along[row, c]
-                    HSd[k, base + c] += h * along[row, c]
+                    X[k, base + c] += P[k, row] * along[row, c]
+                    HSd[k, base + c] += HT[k, row] * along[row, c]
             for c in range(_N_DENSE):
                 dSz[c] += d[row, c] * zr[row]
-                for b in range(_N_DENSE):
-                    dSd[c, b] += d[row, c] * d[row, b]
+            for q in range(_N_PAIRS):
+                dSd[q] += d[row, _FIRST[q]] * d[row, _SECOND[q]]
             for c in range(2):
                 dSz[base + c] += along[row, c] * zr[row]
                 for b in range(2):
-                    dSd[base + c, base + b] += along[row, c] * along[row, b]
+                    dSd[pair + 2 * c + b] += along[row, c] * along[row, b]
         for k in range(n):
             for c in range(wide):
-                x = X[k, c]
-                dSz[c] -= x * y[k]
-                last = place[c] // WIDTH
-                for b in range(max(c - 2, 0), min(c + 3, wide)):
-                    if place[b] // WIDTH == last:
-                        dSd[c, b] -= x * X[k, b]
-            for i in range(n):
-                factor = Y[k, i]
-                for c in range(wide):
-                    HSd[i, c] -= factor * X[k, c]
+                dSz[c] -= X[k, c] * y[k]
+            for q in range(len(_FIRST)):
+                dSd[q] -= X[k, _FIRST[q]] * X[k, _SECOND[q]]
+        _multiplied(YT, X, RX)
+        for i in range(n):
+            for c in range(wide):
+                HSd[i, c] -= RX[i, c]
         # E <- E - root (Y E + X), and G E, in one product
+        _multiplied(root[r], Y, KY)
         for i in range(n):
             for j in range(n):
-                value = 0.0
-                for k in range(n):
-                    value += root[r, i, k] * Y[k, j]
-                F[i, j] = (1.0 if i == j else 0.0) - value
+                F[i, j] = (1.0 if i == j else 0.0) - KY[i, j]
                 F[n + i, j] = G[i, j]
         _multiplied(F, E[r], both)
         if judged[r]:
+            # Over all columns at once: of each with itself and with the two before it, of which
+            # those of its own effect count.
+            _along(E[r], both[n:], g, sized, paired)
             for effect in range(effects):
                 for a in range(WIDTH):
                     c = WIDTH * effect + a
-                    value = 0.0
-                    for k in range(n):
-                        value += E[r, k, c] * g[k]
-                    s[r, effect, a] += value
+                    s[r, effect, a] += sized[c]
                     for b in range(a + 1):
-                        other, value = WIDTH * effect + b, 0.0
-                        for k in range(n):
-                            value += E[r, k, c] * both[n + k, other]
-                        information[r, effect, a, b] += value
+                        information[r, effect, a, b] += paired[a - b, c]
                         if b < a:
-                            information[r, effect, b, a] += value
+                            information[r, effect, b, a] += paired[a - b, c]
+            # E' H' S^-1 d of all columns of the effect, and its transposed
+            crossed[:] = 0.0
+            for k in range(n):
+                for c in range(wide):
+                    first = _PLACE[c] - _PLACE[c] % WIDTH
+                    for b in range(WIDTH):
+                        crossed[c, b] += E[r, k, first + b] * HSd[k, c]
             for c in range(wide):
-                effect, a = place[c] // WIDTH, place[c] % WIDTH
+                effect, a = _PLACE[c] // WIDTH, _PLACE[c] % WIDTH
                 s[r, effect, a] += dSz[c]
-                # E' H' S^-1 d of all columns of the effect, and its transposed
                 for b in range(WIDTH):
-                    value = 0.0
-                    for k in range(n):
-                        value += E[r, k, WIDTH * effect + b] * HSd[k, c]
-                    information[r, effect, b, a] += value
-                    information[r, effect, a, b] += value
-                for b in range(max(c - 2, 0), min(c + 3, wide)):
-                    if place[b] // WIDTH == effect:
-                        information[r, effect, a, place[b] % WIDTH] += dSd[c, b]
+                    information[r, effect, b, a] += crossed[c, b]
+                    information[r, effect, a, b] += crossed[c, b]
+            for q in range(len(_FIRST)):
+                c, b = _PLACE[_FIRST[q]], _PLACE[_SECOND[q]]
+                information[r, c // WIDTH, c % WIDTH, b % WIDTH] += dSd[q]
         _multiplied(root[r], X, RX)
         for i in range(n):
             for c in range(columns):
                 E[r, i, c] = both[i, c]
             for c in range(wide):
-                E[r, i, place[c]] -= RX[i, c]
+                E[r, i, _PLACE[c]] -= RX[i, c]
 
 
 def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Array,
