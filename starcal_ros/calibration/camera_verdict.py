@@ -5,7 +5,9 @@
 consistent
     No test of `residual_tests` fails, and every sigma is inside its tolerance where there is one.
 not yet
-    A sigma is outside its tolerance, or nothing could be tested.
+    A sigma is outside its tolerance, nothing could be tested, or the estimate is what was assumed:
+    the focal length, or all that is estimated, has more than `ASSUMED` of the variance that it
+    had before the data.
 inconsistent
     A test fails: the sigmas are not to be believed, however small they are.
 
@@ -26,7 +28,7 @@ from starcal_ros.calibration import held_camera, residual_tests
 from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import detector, of_intrinsics, star_gate
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.filter.verdict import INCONSISTENT, NOT_YET
@@ -39,6 +41,9 @@ FRAMES, STARS = 400, 12000
 
 UNIDENTIFIED = ('the stars are not identified and the method leaves no residuals: with bundle, or '
                 'with catalogue numbers, they are tested')
+ASSUMED = 0.5
+"""Part of the variance before the data; what has more of it left was told by that more than by
+the stars."""
 LEAST_STARS = 5
 """Of a frame that is tested: of fewer, those that are left out can not be told."""
 NO_FRAME = f'no frame has {LEAST_STARS} identified stars'
@@ -75,30 +80,38 @@ class CameraVerdict:
         Largest sigma of each intrinsic that is enough, by its key; empty where none is stated.
     outside : tuple of str
         Keys of the intrinsics whose sigma is outside.
+    assumed : tuple of str
+        Keys of the intrinsics of which the stars tell less than was assumed beforehand.
+    is_prior : bool
+        Whether the focal length, or all that is estimated, is among them.
     """
 
     consistency: Consistency
     tolerance: Mapping[str, float]
     outside: tuple[str, ...]
+    assumed: tuple[str, ...] = ()
+    is_prior: bool = False
 
     @property
     def word(self) -> str:
         """`CONSISTENT`, `NOT_YET` or `INCONSISTENT`."""
         if self.consistency.failed:
             return INCONSISTENT
-        return NOT_YET if self.outside or self.consistency.why else CONSISTENT
+        return NOT_YET if self.outside or self.is_prior or self.consistency.why else CONSISTENT
 
     @property
     def advice(self) -> str:
         """What to do, or to look at."""
         failed = self.consistency.failed
-        if failed:
-            return '; '.join(dict.fromkeys(
-                _ADVICE[each.name] for each in failed if each.name in _ADVICE))
-        if self.outside:
-            return ('more frames, turned about the line of sight and with stars all over the '
-                    'field, for ' + ', '.join(self.outside))
-        return self.consistency.why
+        said = [*dict.fromkeys(_ADVICE[each.name] for each in failed if each.name in _ADVICE)]
+        if self.assumed:
+            said.append(
+                ('the estimate is what was assumed before the data: ' if self.is_prior else '')
+                + f'the stars tell less of {", ".join(self.assumed)} than what was assumed')
+        if self.outside and not failed:
+            said.append('more frames, turned about the line of sight and with stars all over the '
+                        'field, for ' + ', '.join(self.outside))
+        return '; '.join(said) or self.consistency.why
 
     @property
     def summary(self) -> str:
@@ -118,7 +131,7 @@ class CameraVerdict:
             'variance_factor': {'centroids': found.centroid_factor,
                                 **dict(zip(INTRINSICS_KEYS, found.camera_factors))},
             **({'tolerance': dict(self.tolerance)} if self.tolerance else {}),
-            'advice': self.advice}
+            'assumed': list(self.assumed), 'advice': self.advice}
 
 
 def judge(found: Consistency, estimate: CameraEstimate, scenario: Scenario) -> CameraVerdict:
@@ -126,7 +139,28 @@ def judge(found: Consistency, estimate: CameraEstimate, scenario: Scenario) -> C
     tolerance = dict(zip(INTRINSICS_KEYS, of_intrinsics(scenario.estimator.tolerance).tolist()))
     outside = tuple(key for key, sigma in zip(INTRINSICS_KEYS, estimate.sigma)
                     if sigma > tolerance[key])
-    return CameraVerdict(found, tolerance, outside)
+    return CameraVerdict(found, tolerance, outside,
+                         *of_prior(estimate, scenario, dict(zip(INTRINSICS, INTRINSICS_KEYS))))
+
+
+def of_prior(estimate: CameraEstimate, scenario: Scenario, keys: Mapping[str, str]
+             ) -> tuple[tuple[str, ...], bool]:
+    """Return what of a camera the prior tells more than the stars do, `assumed` and `is_prior`.
+
+    Parameters
+    ----------
+    estimate : CameraEstimate
+    scenario : Scenario
+        With ``estimator.initial_sigma``.
+    keys : mapping
+        What each of the intrinsics is called.
+    """
+    before = of_intrinsics(scenario.estimator.initial_sigma)
+    free = estimate.sigma > 0.0
+    still = free & (estimate.sigma**2 > ASSUMED * before**2)
+    named = [name for name, is_still in zip(INTRINSICS, still) if is_still]
+    return (tuple(key for name, key in keys.items() if name in named),
+            'f' in named or bool(named) and len(named) == int(free.sum()))
 
 
 def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,

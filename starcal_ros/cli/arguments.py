@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import difflib
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -109,8 +109,7 @@ def scenario(options: argparse.Namespace, nodes: Sequence[str], **values: object
     return _said(reading).replace({f'simulation.{key}': value for key, value in given.items()})
 
 
-def scenario_of(bag: str | Path, options: argparse.Namespace, nodes: Sequence[str],
-                attachments: Mapping[str, bytes] | None = None) -> Scenario:
+def scenario_of(bag: str | Path, options: argparse.Namespace, nodes: Sequence[str]) -> Scenario:
     """Return the scenario of ``--config``, or else the one that a recording carries.
 
     Parameters
@@ -121,8 +120,6 @@ def scenario_of(bag: str | Path, options: argparse.Namespace, nodes: Sequence[st
         With ``config`` and ``namespace``.
     nodes : sequence of str
         The nodes that the command stands for.
-    attachments : mapping, optional
-        What the recording carries, where it is open already.
 
     Raises
     ------
@@ -135,9 +132,7 @@ def scenario_of(bag: str | Path, options: argparse.Namespace, nodes: Sequence[st
     from starcal_ros.config.instrument import CameraConfig, MountingConfig
     from starcal_ros.recording.bag import open_bag
     from starcal_ros.recording.reader import CONFIG_ATTACHMENT
-    if attachments is None:
-        attachments = open_bag(Path(bag)).attachments
-    attached = attachments.get(CONFIG_ATTACHMENT)
+    attached = open_bag(Path(bag)).attachments.get(CONFIG_ATTACHMENT)
     needed = ('--config FILE is needed: a parameter file that states camera, mounting and gyro, '
               f'written as {config_file("tan2018.yaml")} is')
     if attached is None:

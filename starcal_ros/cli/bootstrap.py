@@ -45,10 +45,10 @@ def run(options: argparse.Namespace) -> int:
     from starcal_ros.results import result
     from starcal_ros.results.attached_truth import attached_truth
     try:
-        from starcal_ros.recording.measured_images import as_measured, measure
+        from starcal_ros.recording.measured_images import ImageMeter, as_measured
         from starcal_ros.workflows.bootstrap import bootstrap
         with progress('reading') as on_progress:
-            recording = reader.read(options.bag, on_progress, measure=measure(scenario),
+            recording = reader.read(options.bag, on_progress, measure=ImageMeter(scenario),
                                     images_first=options.images, choice=arguments.topics(options))
         if recording.measured:
             scenario = as_measured(scenario)

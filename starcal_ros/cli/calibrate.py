@@ -10,21 +10,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.check import check_recording
+from starcal_ros.cli.check import check_recording, open_recording
 from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.files.output import write_text
+from starcal_ros.recording.topic_choice import TopicChoice
 
 if TYPE_CHECKING:
     from starcal_ros.filter.calibrator import Calibrator
-    from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.results.store import CalibrationStore
 
 DESCRIPTION = ('Run the 16-state filter over a recording: an .mcap file or a rosbag2 directory '
                'with imu/data_raw (sensor_msgs/Imu) and star_tracker/centroids '
-               '(sensor_msgs/PointCloud2: u, v, catalog_id).')
+               '(sensor_msgs/PointCloud2: u, v, catalog_id). Where there are images '
+               '(sensor_msgs/Image) and no centroids, their stars are measured and identified '
+               '(extra identify).')
 
 _INSTRUMENTS = ('camera.', 'mounting.', 'gyro.', 'star_tracker.', 'observer.')
 
@@ -33,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
     arguments.add_config(parser, recorded=True)
-    arguments.add_topics(parser, images=False)
+    arguments.add_topics(parser)
     parser.add_argument('--out', metavar='RESULT.json', required=True, help='result to write')
     parser.add_argument('--figure', metavar='PNG', help='draw the convergence of the estimates')
     parser.add_argument('--report', metavar='HTML',
@@ -52,10 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.results import export, result
-    recording = RecordingStream(options.bag, choice=arguments.topics(options))
-    scenario = arguments.scenario_of(options.bag, options, ('estimator',), recording.attachments)
+    scenario = arguments.scenario_of(options.bag, options, ('estimator',))
     folder = Path(options.export) if options.export else None
     if folder is not None:
         outputs.make_folder(folder)
@@ -64,18 +64,18 @@ def run(options: argparse.Namespace) -> int:
          *([folder / name for name in export.NAMES] if folder else [])],
         [options.bag, options.config, *_saved(scenario).folders()], options.overwrite)
     calibrator, outcome = calibrate_recording(
-        recording, scenario, Path(options.out),
+        options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
-        Path(options.report) if options.report else None, folder,
+        Path(options.report) if options.report else None, folder, arguments.topics(options),
         options.adopt, checked=not options.no_check)
     show_json(outcome)
     return STATUS[result.word(calibrator)]
 
 
-def calibrate_recording(recording: RecordingStream, scenario: Scenario, out: Path,
-                        figure: Path | None, page: Path | None, folder: Path | None = None,
-                        adopt: bool = False, checked: bool = True
-                        ) -> tuple[Calibrator, dict[str, Any]]:
+def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
+                        page: Path | None, folder: Path | None = None,
+                        choice: TopicChoice = TopicChoice(), adopt: bool = False,
+                        checked: bool = True) -> tuple[Calibrator, dict[str, Any]]:
     """Calibrate a recording, write the result and show it; return the final state and it."""
     from starcal_ros import report
     from starcal_ros.filter import explanations, verdict
@@ -85,6 +85,7 @@ def calibrate_recording(recording: RecordingStream, scenario: Scenario, out: Pat
     from starcal_ros.recording.reader import CONFIG_ATTACHMENT
     from starcal_ros.results import export, initial, result
     from starcal_ros.results.attached_truth import attached_truth
+    recording, scenario, measured = open_recording(bag, scenario, choice)
     contradictions = list(_contradictions(
         recording.attachments.get(CONFIG_ATTACHMENT), scenario))
     for text in contradictions:
@@ -112,7 +113,7 @@ def calibrate_recording(recording: RecordingStream, scenario: Scenario, out: Pat
             with progress('calibrating') as on_progress:
                 calibrator, history = calibrate_source(
                     recording, used, on_progress, start.covariance)
-    notices = [*recording.warnings, *start.notices, *calibrator.take_notices(),
+    notices = [*recording.warnings, *measured, *start.notices, *calibrator.take_notices(),
                *said_aloud(calibrator.noise.levels())]
     for text in notices:
         say(f'warning: {text}')
@@ -128,7 +129,7 @@ def calibrate_recording(recording: RecordingStream, scenario: Scenario, out: Pat
     truth, doubts = attached_truth(recording.attachments)
     for text in doubts:
         say(f'warning: {text}')
-    show(report.table(report.rows(outcome, truth), f'Calibration of {recording.path}'))
+    show(report.table(report.rows(outcome, truth), f'Calibration of {bag}'))
     show(report.summary(outcome))
     for level in outcome['noise_levels']:
         show(f'Noise: {level["sentence"]}')

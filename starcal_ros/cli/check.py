@@ -5,17 +5,20 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.terminal import progress, say, show, show_json
 from starcal_ros.config import parameter_file
+from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.files.output import write_text
 
 if TYPE_CHECKING:
     from starcal_ros.checks.check import Checked
     from starcal_ros.recording.recording_stream import RecordingStream
+    from starcal_ros.recording.topic_choice import TopicChoice
 
 DESCRIPTION = ('Read from a recording, before any filter, what of its configuration is wrong: '
                'units, axes and mounting of the gyros, stamps and clocks, rates, noise, the '
@@ -27,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     arguments.add_bag(parser)
     arguments.add_config(parser, recorded=True)
-    arguments.add_topics(parser, images=False)
+    arguments.add_topics(parser)
     parser.add_argument('--write', metavar='FIXED.yaml',
                         help='parameter file with what is proposed, to calibrate with')
     outputs.add_overwrite(parser)
@@ -37,12 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.checks.finding import proposed
-    from starcal_ros.recording.recording_stream import RecordingStream
-    recording = RecordingStream(options.bag, choice=arguments.topics(options))
-    scenario = arguments.scenario_of(options.bag, options, ('estimator',), recording.attachments)
+    scenario = arguments.scenario_of(options.bag, options, ('estimator',))
     outputs.claim([options.write], [options.bag, options.config], options.overwrite)
+    recording, scenario, measured = open_recording(options.bag, scenario,
+                                                   arguments.topics(options))
     checked = check_recording(recording, scenario)
-    for text in recording.warnings:
+    for text in (*recording.warnings, *measured):
         say(f'warning: {text}')
     show_json({'recording': str(options.bag), 'untold': list(checked.untold),
                'findings': [each.as_dict() for each in checked.findings]})
@@ -50,6 +53,32 @@ def run(options: argparse.Namespace) -> int:
     if options.write:
         write_text(options.write, parameter_file.dump(proposed(scenario, checked.findings)))
     return _FOUND if checked.findings else 0
+
+
+def open_recording(bag: str | Path, scenario: Scenario, choice: TopicChoice
+                   ) -> tuple[RecordingStream, Scenario, tuple[str, ...]]:
+    """Open a recording; where it has images and no centroids, measure and identify its stars.
+
+    Returns
+    -------
+    recording : RecordingStream
+    scenario : Scenario
+        As it is for frames that were measured.
+    notices : tuple of str
+        What is to be said of the identification.
+    """
+    from starcal_ros.recording.measured_images import ImageMeter, as_measured
+    from starcal_ros.recording.recording_stream import RecordingStream
+    meter = ImageMeter(scenario)
+    recording = RecordingStream(bag, measure=meter, choice=choice)
+    if not recording.measured:
+        return recording, scenario, ()
+    try:
+        with progress('identifying') as on_progress:
+            numbered = meter.identify(recording, on_progress)
+    except ImportError as error:
+        raise ConfigError(str(error)) from None
+    return recording, as_measured(scenario), numbered.notices
 
 
 def check_recording(recording: RecordingStream, scenario: Scenario) -> Checked:

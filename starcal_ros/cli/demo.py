@@ -35,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.workflows import live_run
     scenario = arguments.scenario(
         options, (*arguments.SIMULATED, 'recorder'), duration_s=options.duration,
@@ -47,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     with progress('live run') as on_progress:
         recording = live_run.run_live(scenario, folder, on_progress)
     calibrator, outcome = calibrate_recording(
-        RecordingStream(recording), scenario, folder / live_run.RESULT, folder / live_run.FIGURE,
+        recording, scenario, folder / live_run.RESULT, folder / live_run.FIGURE,
         folder / live_run.REPORT)
     difference = live_run.compare(recording, calibrator)
     show_json({'folder': str(folder), 'files': list(live_run.FILES),

@@ -6,16 +6,20 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from starcal_ros import calibration
 from starcal_ros.cli import arguments, outputs, still_images
 from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config.models import detector
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.config.scenario import parameters
+from starcal_ros.config.scenario import Scenario, parameters
 from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.imaging.files import KINDS, is_image
+
+if TYPE_CHECKING:
+    from starcal_ros.measurements.samples import Frames
+    from starcal_ros.recording.reader import Recording
 
 DESCRIPTION = ('Calibrate the camera alone, from what the stars are to each other: no attitude is '
                'needed, and with interstar and bundle no identification. From a recording it '
@@ -98,15 +102,17 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     calibration.start(scenario)             # says what is wrong before the reading
     from starcal_ros import report
     from starcal_ros.recording import reader
-    from starcal_ros.recording.measured_images import as_measured, measure
+    from starcal_ros.recording.measured_images import ImageMeter, as_measured
     from starcal_ros.results import result
     from starcal_ros.results.attached_truth import attached_truth
     with progress('reading') as on_progress:
         recording = reader.read(options.source, on_progress, needs_gyro=False,
-                                measure=measure(scenario), choice=arguments.topics(options))
-    frames = recording.frames
+                                measure=ImageMeter(scenario), choice=arguments.topics(options))
+    frames, notices = recording.frames, recording.warnings
     if recording.measured:
         scenario = as_measured(scenario)
+        frames, said = _identified(recording, scenario)
+        notices = (*notices, *said)
     method = calibration.start(scenario)
     with progress('calibrating') as on_progress:
         method.add_gyro(recording.gyro)
@@ -117,7 +123,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
         estimate = method.estimate()
         judged = None if estimate is None else method.judge(estimate)
         on_progress(1.0)
-    for text in (*recording.warnings, *method.take_notices()):
+    for text in (*notices, *method.take_notices()):
         say(f'warning: {text}')
     if estimate is None or judged is None:
         raise result.CalibrationError(
@@ -132,3 +138,15 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     show(report.camera(outcome, truth, f'Camera of {options.source}, {outcome["method"]}'))
     show('\n'.join(report.verdict_lines(outcome)))
     return outcome
+
+
+def _identified(recording: Recording, scenario: Scenario) -> tuple[Frames, tuple[str, ...]]:
+    """Return frames that were measured with the numbers of their stars, and what to say."""
+    from starcal_ros.identification import recorded
+    from starcal_ros.measurements.message_source import InMemory
+    try:
+        with progress('identifying') as on_progress:
+            return recorded.identify(InMemory(recording.gyro, recording.frames), scenario,
+                                     on_progress)
+    except ImportError as error:
+        return recording.frames, (f'the stars of the images have no numbers: {error}',)

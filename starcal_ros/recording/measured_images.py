@@ -5,12 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import hashlib
 
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.identification import recorded
 from starcal_ros.imaging.spot_meter import SpotMeter
+from starcal_ros.measurements.message_source import MessageSource
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.messages.cdr_image import decode_image
+
+_DIGEST_BYTES = 16
 
 
 def as_measured(scenario: Scenario) -> Scenario:
@@ -18,21 +23,66 @@ def as_measured(scenario: Scenario) -> Scenario:
     return scenario.replace({'star_tracker.smear': False})
 
 
-def measure(scenario: Scenario) -> Callable[[Messages], Frames]:
-    """Return what turns sensor_msgs/Image in CDR into star frames, for `reader.read`.
+class ImageMeter:
+    """Turns sensor_msgs/Image in CDR into star frames, for `reader.read`; each image once.
 
-    Its frames are those that the node ``centroid_extractor`` would have made of the images.
+    Its frames are those that the node ``centroid_extractor`` would have made of the images, and,
+    after `identify`, ``star_identifier``. They are remembered: a recording may be read again.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Camera, exposure, and the group ``image``.
     """
-    meter = SpotMeter(scenario)
 
-    def frames(messages: Messages) -> Frames:
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._meter = SpotMeter(scenario)
+        self._frames: dict[bytes, Frames] = {}
+
+    def __call__(self, messages: Messages) -> Frames:
+        """Return one frame a message.
+
+        Raises
+        ------
+        RecordError
+            Where an image can not be measured.
+        """
         found = []
         for start, size in zip(messages.start.tolist(), messages.size.tolist()):
-            stamp_ns, _, counts, pattern = decode_image(
-                messages.data[start:start + size].tobytes())
-            try:
-                found.append(meter.measure(counts, stamp_ns, pattern)[0])
-            except ValueError as error:
-                raise RecordError(f'image at {stamp_ns} ns: {error}') from None
+            message = messages.data[start:start + size].tobytes()
+            digest = hashlib.blake2b(message, digest_size=_DIGEST_BYTES).digest()
+            if digest not in self._frames:
+                self._frames[digest] = self._measured(message)
+            found.append(self._frames[digest])
         return Frames.concatenate(found)
-    return frames
+
+    def identify(self, source: MessageSource,
+                 on_progress: Callable[[float], None] = lambda part: None) -> recorded.Numbered:
+        """Identify the stars of a source whose frames are measured here.
+
+        From then on the frames have the numbers.
+
+        Raises
+        ------
+        ImportError, ValueError
+            As `identification.recorded.identify`.
+        """
+        numbered = recorded.identify(source, self._scenario, on_progress)
+        frames = numbered.frames
+        known = {_key(frame): frame for frame in (
+            frames[k:k + 1] for k in range(len(frames)))}
+        self._frames = {digest: known.get(_key(frame), frame)
+                        for digest, frame in self._frames.items()}
+        return numbered
+
+    def _measured(self, message: bytes) -> Frames:
+        stamp_ns, _, counts, pattern = decode_image(message)
+        try:
+            return self._meter.measure(counts, stamp_ns, pattern)[0]
+        except ValueError as error:
+            raise RecordError(f'image at {stamp_ns} ns: {error}') from None
+
+
+def _key(frame: Frames) -> tuple[int, bytes]:
+    return int(frame.stamp_ns[0]), frame.uv_raster.tobytes()

@@ -2,25 +2,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings that hold images and no centroids: read, and calibrated from nothing else."""
 
+from dataclasses import replace
 import json
+import shutil
 
 from mcap.reader import make_reader
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from instruments import CONFIG
+from instruments import CONFIG, REAL_SKY
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera import INTRINSICS_KEYS
+from starcal_ros.core.utc import unix_ns
+from starcal_ros.imaging.files import load
+from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.cdr_pointcloud import encode_centroids
 from starcal_ros.recording import reader
-from starcal_ros.recording.measured_images import measure
+from starcal_ros.recording.measured_images import ImageMeter
+from starcal_ros.recording.recording_stream import RecordingStream
 from starcal_ros.recording.topic_choice import TopicChoice
-from starcal_ros.recording.writer import Writer
+from starcal_ros.recording.writer import Writer, centroids_batch
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.simulation.write_recording import simulate
@@ -63,7 +69,7 @@ def test_simulated_images_are_those_of_the_node_and_the_centroids_are_truth(bag)
 def test_frames_are_those_of_the_images(bag):
     with pytest.raises(RecordError, match='no topic /star_tracker/centroids'):
         reader.read(bag)
-    recording = reader.read(bag, measure=measure(SCENARIO))
+    recording = reader.read(bag, measure=ImageMeter(SCENARIO))
     frames = recording.frames
     assert recording.frames_topic == '/star_tracker/image_raw' and len(frames) == 10
     assert (np.diff(frames.stamp_ns) == 500_000_000).all() and not recording.warnings
@@ -72,7 +78,7 @@ def test_frames_are_those_of_the_images(bag):
 
 
 def test_images_are_measured_where_there_are_centroids_only_when_asked_for(tmp_path):
-    tracker, eye = sensors.star_tracker(SCENARIO), measure(SCENARIO)
+    tracker, eye = sensors.star_tracker(SCENARIO), ImageMeter(SCENARIO)
     path = tmp_path / 'both.mcap'
     with Writer(path) as writer:
         writer.write_centroids('/star_tracker/centroids', tracker.next(2))
@@ -92,7 +98,7 @@ def test_one_of_two_cameras_is_chosen(tmp_path):
             for k in range(count):
                 writer.write(topic, IMAGE_TYPE, data, k)
         writer.write_centroids('/star_tracker/centroids', sensors.star_tracker(SCENARIO).next(3))
-    eye = measure(SCENARIO)
+    eye = ImageMeter(SCENARIO)
     with pytest.raises(RecordError, match='/left/image .*, /right/image .*--image-topic chooses'):
         reader.read(path, needs_gyro=False, measure=eye, images_first=True)
     recording = reader.read(path, needs_gyro=False, measure=eye,
@@ -118,7 +124,7 @@ def test_an_image_that_can_not_be_used_is_named(tmp_path):
     with Writer(path) as writer:
         writer.write('/star_tracker/image_raw', IMAGE_TYPE, data, 1)
     with pytest.raises(RecordError, match="image_raw: unsupported encoding: 'yuv422'"):
-        reader.read(path, needs_gyro=False, measure=measure(SCENARIO))
+        reader.read(path, needs_gyro=False, measure=ImageMeter(SCENARIO))
 
 
 def test_images_of_another_size_than_the_camera_are_named(bag, capsys):
@@ -143,6 +149,103 @@ def test_bootstrap_from_images_alone(tmp_path, capsys):
         assert error @ np.linalg.solve(step['covariance'], error) < chi2.ppf(0.9999, 7), name
     assert steps['16 states']['intrinsics_sigma']['f_mm'] < 1e-3
     assert 'spots identified' in capsys.readouterr().out
+
+
+def test_numbers_of_images_are_right_and_stay_with_them(bag):
+    """Also where the focal length is more wrong than was said."""
+    pytest.importorskip('tetra3rs')
+    truth = sensors.star_tracker(SCENARIO).next(10)
+    meter = ImageMeter(SCENARIO)
+    recording = RecordingStream(bag, measure=meter)
+    numbered = meter.identify(recording)
+    assert any('no star is identified; with 20% they are' in text for text in numbered.notices)
+    again = Frames.concatenate([batch.frames for batch in recording.batches()])
+    np.testing.assert_array_equal(again.catalog_id, numbered.frames.catalog_id)
+    for k in range(10):
+        mine, true = again[k:k + 1], truth[k:k + 1]
+        place = dict(zip(true.catalog_id.tolist(), true.uv_raster))
+        known = [row for row, star in enumerate(mine.catalog_id.tolist()) if star in place]
+        assert len(known) > 15
+        off = [mine.uv_raster[row] - place[int(mine.catalog_id[row])] for row in known]
+        assert np.abs(off).max() < 1.0
+
+
+def test_calibrate_identifies_the_stars_of_images(bag, tmp_path):
+    pytest.importorskip('tetra3rs')
+    out, config = tmp_path / 'result.json', tmp_path / 'config.yaml'
+    config.write_text(parameter_file.dump(SCENARIO.replace({'camera.focal_length_mm': 25.55})))
+    assert main(['calibrate', str(bag), '--config', str(config), '--out', str(out)]) == 3
+    result = json.loads(out.read_text())
+    assert result['counts']['frames'] == 10 and result['counts']['stars'] > 150
+    error = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS]) - TRUTH.intrinsics
+    covariance = np.array(result['covariance'])[9:, 9:]
+    assert error @ np.linalg.solve(covariance, error) < chi2.ppf(0.9999, 7)
+    assert result['intrinsics_sigma']['f_mm'] < 0.02
+
+
+def test_images_in_a_recording_give_the_camera_of_a_folder(tmp_path):
+    """Six stills of a real sky, with nothing but the camera stated."""
+    pytest.importorskip('tetra3rs')
+    if not REAL_SKY.is_dir():
+        pytest.skip(f'{REAL_SKY} is not there')
+    folder, path, config = tmp_path / 'six', tmp_path / 'six.mcap', tmp_path / 'config.yaml'
+    folder.mkdir()
+    with Writer(path) as writer:
+        for k, file in enumerate(sorted(REAL_SKY.glob('tomc16/*.png'))[:6]):
+            shutil.copy(file, folder)
+            stamp_ns = unix_ns('2020-01-01') + k * 10**9
+            writer.write('/star_tracker/image_raw', IMAGE_TYPE, encode_image(
+                stamp_ns, load(file).counts.astype(np.uint16)), stamp_ns)
+    config.write_text(parameter_file.dump(Scenario().replace({
+        'camera.width': 808, 'camera.height': 608, 'camera.pixel_pitch_mm': 0.016,
+        'camera.focal_length_mm': 52.0, 'estimator.initial_sigma.focal_length_mm': 2.0,
+        'observer.velocity': 'barycentre'})))
+    bagged, stills = tmp_path / 'bag.json', tmp_path / 'stills.json'
+    assert main(['intrinsics', str(path), '--config', str(config), '--method', 'bundle',
+                 '--out', str(bagged)]) == 4
+    assert main(['intrinsics', str(folder), '--fov', '14.3', '--out', str(stills)]) == 4
+    one, other = json.loads(bagged.read_text()), json.loads(stills.read_text())
+    assert one['intrinsics']['f_mm'] / 0.016 == pytest.approx(other['f_px'],
+                                                              abs=other['sigma']['f_px'])
+    assert one['counts']['stars'] == pytest.approx(other['counts']['stars'], rel=0.05)
+    assert one['assumed'] == []
+
+
+def test_an_estimate_that_is_the_prior_is_said_to_be(tmp_path, capsys):
+    """Spots without numbers on a camera at rest tell nothing, however wide the tolerances are."""
+    path, config, out = tmp_path / 'rest.mcap', tmp_path / 'config.yaml', tmp_path / 'camera.json'
+    scenario = Scenario().replace({
+        'simulation.duration_s': 20.0, 'motion.dwell_s': 30.0,
+        'estimator.tolerance.principal_point_px': 50.0, 'estimator.tolerance.focal_length_mm': 1.0,
+        **{f'estimator.tolerance.{name}': 1.0 for name in ('k1', 'k2', 'p1', 'p2')}})
+    tracker = sensors.star_tracker(scenario)
+    frames = tracker.next(tracker.count)
+    with Writer(path) as writer:
+        writer.write_batches(centroids_batch('/star_tracker/centroids', replace(
+            frames, catalog_id=np.zeros_like(frames.catalog_id))))
+    config.write_text(parameter_file.dump(scenario))
+    assert main(['intrinsics', str(path), '--config', str(config), '--method', 'bundle',
+                 '--out', str(out)]) == 3
+    result = json.loads(out.read_text())
+    assert 'f_mm' in result['assumed'] and result['verdict'] == 'not yet'
+    assert 'the estimate is what was assumed before the data' in capsys.readouterr().out
+
+
+def test_images_without_a_star_that_is_known_say_so(tmp_path, capsys):
+    pytest.importorskip('tetra3rs')
+    rng = np.random.default_rng(1)
+    path, config = tmp_path / 'noise.mcap', tmp_path / 'config.yaml'
+    with Writer(path) as writer:
+        for k in range(3):
+            pixels = rng.normal(200.0, 5.0, (384, 384))
+            for v, u in rng.integers(5, 379, (12, 2)):
+                pixels[v - 1:v + 2, u - 1:u + 2] += 100.0
+            writer.write('/star_tracker/image_raw', IMAGE_TYPE, encode_image(
+                unix_ns('2020-01-01') + k * 10**9, pixels.astype(np.uint16)), k)
+    config.write_text(parameter_file.dump(SCENARIO))
+    assert main(['intrinsics', str(path), '--config', str(config), '--method', 'bundle']) == 1
+    said = capsys.readouterr().err
+    assert 'no star is identified' in said and 'match no stars of a field of' in said
 
 
 def test_intrinsics_reads_images_too(bag, tmp_path, capsys):

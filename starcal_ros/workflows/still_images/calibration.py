@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from starcal_ros import calibration
-from starcal_ros.calibration import bundle_adjustment, held_camera, residual_tests
+from starcal_ros.calibration import bundle_adjustment, camera_verdict, held_camera, residual_tests
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.calibration.camera_verdict import CameraVerdict
 from starcal_ros.calibration.residual_tests import Consistency, FittedStars
@@ -222,7 +222,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
             STATED if (measured.sigma > 0.0).all() else None, 1.0 / stated**2,
             heldout=heldout.stars if heldout else None)
         result = StillImageCamera(estimate, sigma, fit, heldout, scenario,
-                                  CameraVerdict(found, {}, ()))
+                                  _verdict(found, estimate, scenario))
         if k == rounds - 1:
             return _between_images(result, fitted)
         scale = float(np.sqrt(np.sum((residual / given[:, None])**2) / freedom))
@@ -256,7 +256,13 @@ def _between_images(found: StillImageCamera, fitted: StillImages) -> StillImageC
     judged = found.verdict.consistency
     if own and judged.statistics:
         judged = Consistency((odd,), None, factors).beside(judged)
-    return replace(found, own=own, scatter=scatter, verdict=CameraVerdict(judged, {}, ()))
+    return replace(found, own=own, scatter=scatter,
+                   verdict=_verdict(judged, found.estimate, scenario))
+
+
+def _verdict(found: Consistency, estimate: CameraEstimate, scenario: Scenario) -> CameraVerdict:
+    return CameraVerdict(found, {}, (), *camera_verdict.of_prior(
+        estimate, scenario, dict(zip(IN_OURS, KEYS))))
 
 
 def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimate,
