@@ -79,7 +79,7 @@ setup(
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
-        'pillow>=10.0',
+        'pillow>=10.1',
         'plotly>=6.0',
         'pyerfa>=2.0',
         'pyyaml>=6.0',

@@ -12,7 +12,7 @@ from starcal_ros.calibration import bundle_adjustment, bundle_start, residual_te
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.calibration.residual_tests import FittedStars
 from starcal_ros.core import camera
-from starcal_ros.core.arrays import Array
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
 
@@ -28,11 +28,14 @@ class HeldFit(NamedTuple):
         With the residuals.
     stars : FittedStars
         Those inside the gate, linearised.
+    catalog_id : (m,) int64 array
+        Numbers of the spots.
     """
 
     spots: Observations
     adjusted: Adjusted
     stars: FittedStars
+    catalog_id: Ints
 
 
 def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: float
@@ -59,6 +62,6 @@ def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: 
         spots, intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
         np.zeros((7, 7)), gate)
     known = catalog.load_containing(frames.catalog_id)
-    magnitude = known.magnitude[known.rows(frames.catalog_id[bundle_start.usable(frames, stars)])]
+    number = frames.catalog_id[bundle_start.usable(frames, stars)]
     return HeldFit(spots, adjusted, residual_tests.fitted_stars(
-        spots, adjusted, magnitude, pitch_mm))
+        spots, adjusted, known.magnitude[known.rows(number)], pitch_mm), number)

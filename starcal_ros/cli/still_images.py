@@ -5,19 +5,25 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from datetime import timedelta, timezone
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from starcal_ros.cli import outputs
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import stamp_ns
+from starcal_ros.files.output import same
 
 if TYPE_CHECKING:
+    from starcal_ros.report.annotated import Annotated
     from starcal_ros.sky.refraction import Site
-    from starcal_ros.workflows.still_images.pipeline import Conditions, Source
+    from starcal_ros.workflows.still_images.measured import Measured
+    from starcal_ros.workflows.still_images.pipeline import Calibrated, Conditions, Source
 
 _OF_TABLE = ('width', 'height')
-_OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars', 'utc_offset')
+_OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars', 'annotate', 'utc_offset')
 _OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report')
 
 
@@ -57,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'trees, a horizon, text')
     folder.add_argument('--stars', metavar='STARS.csv',
                         help='write the stars that were found, for --centroids')
+    folder.add_argument('--annotate', metavar='DIR',
+                        help='draw each image with its spots, its stars and their names, those '
+                        'that the fit refuses and a grid; or with why it is left out')
     table = parser.add_argument_group('--centroids, a table of identified stars')
     table.add_argument('--centroids', metavar='STARS.csv',
                        help='image, u, v, catalog_id, optionally sigma and split (fit or heldout)')
@@ -95,10 +104,22 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
         stamp_ns('--epoch', options.epoch)
     if options.utc_offset is not None and not abs(options.utc_offset) <= 14.0:
         raise ConfigError(f'--utc-offset: got {options.utc_offset:g}, needs -14 to 14 h')
+    if options.annotate:
+        _claim_folder(Path(options.annotate), Path(options.source), options.overwrite)
     if options.heldout is not None and options.heldout < 2:
         raise ConfigError(f'--heldout: got {options.heldout}, needs 2 or more')
     if options.saturation is not None and not options.saturation > 0.0:
         raise ConfigError(f'--saturation: got {options.saturation:g}, needs more than 0')
+
+
+def _claim_folder(folder: Path, source: Path, overwrite: bool) -> None:
+    """Make the folder of ``--annotate``, which holds nothing that is read or would be lost."""
+    outputs.make_folder(folder)
+    if same(folder, source):
+        raise ConfigError(f'--annotate: {folder} holds the images: choose another folder')
+    if any(folder.iterdir()) and not overwrite:
+        raise ConfigError(f'--annotate: {folder} is not empty; choose another folder, or write '
+                          'into it with --overwrite')
 
 
 def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
@@ -127,31 +148,56 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
                                     for name, why in source.left_out.items())):
         say(f'warning: {text}')
     with progress('calibrating') as on_progress:
-        found, outcome = pipeline.calibrate(source, parameters=given)
+        first = pipeline.calibrate(source, parameters=given)
         on_progress(1.0)
+    found, outcome = first
     _show(source, outcome, bool(source.others))
     others = [each for other in source.others if (each := _other(other, given)) is not None]
     if source.others:
-        outcome['other_cameras'] = others
+        outcome['other_cameras'] = [each.outcome for each in others]
+    drawn = _drawn(options, source.measured, (first, *others), source.left_out)
     if options.report:
         from starcal_ros.report.still_images_page import write_still_images_page
-        write_still_images_page(options.report, found, outcome, [*source.notices])
+        write_still_images_page(options.report, found, outcome, [*source.notices], drawn)
     return outcome
 
 
-def _other(source: Source, given: dict[str, Any]) -> dict[str, Any] | None:
+def _drawn(options: argparse.Namespace, images: Sequence[Measured],
+           cameras: Sequence[Calibrated], left_out: Mapping[str, str]) -> list[Annotated]:
+    """Draw images, into the folder of ``--annotate``; return those that the report shows."""
+    if not images or not (options.annotate or options.report):
+        return []
+    from starcal_ros.files.output import whole
+    from starcal_ros.report.annotated import annotate, skies
+    from starcal_ros.report.still_images_page import shown
+    known = {name: sky for found, outcome in cameras
+             for name, sky in skies(found, outcome['flipped']).items()}
+    kept = shown([image.name for image in images], left_out) if options.report else set()
+    drawn = []
+    with progress('drawing') as on_progress:
+        for k, each in enumerate(annotate(images, known, left_out)):
+            if options.annotate:
+                with whole(Path(options.annotate) / f'{each.name}.jpg') as draft:
+                    draft.write_bytes(each.jpeg())
+            if each.name in kept:
+                drawn.append(each)
+            on_progress((k + 1) / len(images))
+    return drawn
+
+
+def _other(source: Source, given: dict[str, Any]) -> Calibrated | None:
     """Calibrate and show another camera of the folder; None where that is not possible."""
     from starcal_ros.results.result import CalibrationError
     from starcal_ros.workflows.still_images import pipeline
     for text in source.notices:
         say(f'warning: {text}')
     try:
-        outcome = pipeline.calibrate(source, parameters=given).outcome
+        calibrated = pipeline.calibrate(source, parameters=given)
     except CalibrationError as error:
         say(f'warning: {source.label}: {error}')
         return None
-    _show(source, outcome, True)
-    return outcome
+    _show(source, calibrated.outcome, True)
+    return calibrated
 
 
 def _show(source: Source, outcome: dict[str, Any], one_of_several: bool) -> None:
@@ -172,12 +218,17 @@ def _of_table(options: argparse.Namespace, conditions: Conditions) -> Source:
 
 def _of_folder(options: argparse.Namespace, conditions: Conditions) -> Source:
     from starcal_ros.workflows.still_images import pipeline
+    from starcal_ros.workflows.still_images.folder import NoStarsError
     with progress('reading') as on_progress:
         try:
             return pipeline.of_folder(options.source, conditions, options.heldout,
                                       options.saturation, options.stars, options.mask, on_progress)
         except ImportError as error:
             raise ConfigError(str(error)) from None
+        except NoStarsError as error:
+            options.report = None
+            _drawn(options, error.measured, (), error.left_out)
+            raise
 
 
 def _site(options: argparse.Namespace) -> Site | None:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,16 +17,18 @@ from starcal_ros.config.models import detector
 from starcal_ros.files.output import write_text
 from starcal_ros.filter.history import Residuals
 from starcal_ros.report import detector_charts
+from starcal_ros.report.annotated import Annotated
 from starcal_ros.report.cameras import entry, entry_columns, verdict_lines
 from starcal_ros.report.markup import charts, document, items, paragraph, section, table
 from starcal_ros.workflows.still_images.calibration import Refit, StillImageCamera
 from starcal_ros.workflows.still_images.opencv_camera import KEYS
 
 _OWN = KEYS[:3]
+_PICTURES, _LONGEST_PX, _QUALITY = 8, 800, 50       # of some 0.1 MB
 
 
 def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: dict[str, Any],
-                            notices: list[str]) -> None:
+                            notices: list[str], drawn: Sequence[Annotated] = ()) -> None:
     """Write the report of a camera.
 
     Parameters
@@ -36,14 +40,31 @@ def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: 
         Its result as written, with ``method``, ``source`` and, by name, ``left_out`` images.
     notices : list of str
         What a user should know.
+    drawn : sequence of Annotated
+        Pictures to show.
     """
     write_text(path, document(
         f'Camera of {outcome["source"]}', _verdict(outcome), _camera(outcome), *_images(found),
         *_each_image(outcome),
-        *_left_out(outcome), _distortion(found), _coupling(outcome), section(
+        *_left_out(outcome), *_pictures(drawn), _distortion(found), _coupling(outcome), section(
             'notices', 'Notices', items(notices) if notices else paragraph('No notices.'),
             '<details><summary>Configuration</summary><pre>'
             f'{escape(parameter_file.dump(found.scenario))}</pre></details>')))
+
+
+def shown(names: Sequence[str], left_out: Mapping[str, str]) -> set[str]:
+    """Return the images that a report has room to show, those that are left out first."""
+    return set(sorted(names, key=lambda name: name not in left_out)[:_PICTURES])
+
+
+def _pictures(drawn: Sequence[Annotated]) -> list[str]:
+    figures = ''.join(
+        f'<figure><figcaption>{escape(each.name)}: {escape(each.caption)}</figcaption>'
+        f'<img alt="{escape(each.name)}" src="data:image/jpeg;base64,'
+        f'{b64encode(each.jpeg(_LONGEST_PX, _QUALITY)).decode()}"></figure>' for each in drawn)
+    return [section('pictures', 'Pictures', paragraph(
+        f'At most {_PICTURES} are shown, those that are left out first; --annotate draws all.'),
+        f'<div class="pictures">{figures}</div>')] if drawn else []
 
 
 def _verdict(outcome: dict[str, Any]) -> str:

@@ -28,7 +28,7 @@ from starcal_ros.calibration.residual_tests import Consistency, FittedStars
 from starcal_ros.config.models import detector, star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
-from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.filter.innovation_tests import gated_nis
@@ -66,12 +66,15 @@ class Refit(NamedTuple):
         With the residuals.
     stars : FittedStars
         Those inside the gate, linearised.
+    catalog_id : (m,) int64 array
+        Numbers of the stars.
     """
 
     names: tuple[str, ...]
     spots: Observations
     adjusted: Adjusted
     stars: FittedStars
+    catalog_id: Ints
 
     @property
     def rms_px(self) -> float:

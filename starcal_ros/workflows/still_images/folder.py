@@ -13,7 +13,7 @@ reason: they are flipped, top to bottom, and so is the camera that is calibrated
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import csv
 from dataclasses import dataclass
 from datetime import tzinfo
@@ -27,7 +27,7 @@ from starcal_ros.config.image import CentroidConfig
 from starcal_ros.files.output import whole
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import Site
-from starcal_ros.workflows.still_images.measured import measure
+from starcal_ros.workflows.still_images.measured import Measured, measure
 from starcal_ros.workflows.still_images.search import StarImage, StarSearch
 
 _ZOOM = 1.03            # focal lengths that differ by more are those of two cameras
@@ -35,7 +35,19 @@ _NAMED = 5              # files that a message names, at most
 
 
 class NoStarsError(ValueError):
-    """No image can be used."""
+    """No image can be used.
+
+    Attributes
+    ----------
+    measured : tuple of Measured
+        Images that could be read.
+    left_out : dict
+        The reason, by name.
+    """
+
+    def __init__(self, text: str, measured: Iterable[Measured], left_out: dict[str, str]) -> None:
+        super().__init__(text)
+        self.measured, self.left_out = tuple(measured), left_out
 
 
 @dataclass(frozen=True)
@@ -76,11 +88,14 @@ class StarFolder(NamedTuple):
         Images that can not be used, by name, with the reason.
     notices : tuple of str
         What a user should know of the files.
+    measured : tuple of Measured
+        All images that could be read, with their spots.
     """
 
     cameras: tuple[StarImages, ...]
     left_out: dict[str, str]
     notices: tuple[str, ...]
+    measured: tuple[Measured, ...] = ()
 
 
 def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | None,
@@ -124,7 +139,8 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     measured = measure(folder, config, mask, lambda part: on_progress(0.5 * part))
     left_out = dict(measured.left_out)
     if not measured.images:
-        raise NoStarsError(f'{folder}: none of its images can be read: {_reasons(left_out)}')
+        raise NoStarsError(f'{folder}: none of its images can be read: {_reasons(left_out)}',
+                           (), left_out)
     found: dict[tuple[int, int], list[StarImage]] = {}
     shapes = {image.name: image.shape for image in measured.images}
     for stars in search.images(measured.images, lambda part: on_progress(0.5 + 0.5 * part)):
@@ -139,9 +155,10 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     if not cameras:
         count = len(measured.images) + len(measured.left_out)
         raise NoStarsError(f'{folder}: none of {count} images can be used ({search.looked_for}): '
-                           f'{_reasons(left_out)}')
+                           f'{_reasons(left_out)}', measured.images, left_out)
     return StarFolder(tuple(sorted(cameras, key=lambda camera: -len(camera.images))),
-                      dict(sorted(left_out.items())), tuple(measured.notices))
+                      dict(sorted(left_out.items())), tuple(measured.notices),
+                      tuple(measured.images))
 
 
 def _by_focal_length(images: list[StarImage]) -> list[list[StarImage]]:

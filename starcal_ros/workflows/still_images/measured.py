@@ -35,6 +35,10 @@ class Measured:
         When.
     focal_px : float or None
         Focal length that the file tells [px].
+    path : Path
+        File.
+    plane : int
+        Which image of it, from 0.
     """
 
     name: str
@@ -42,6 +46,8 @@ class Measured:
     centroids: Centroids
     taken: datetime | None
     focal_px: float | None
+    path: Path
+    plane: int
 
 
 @dataclass(frozen=True)
@@ -125,7 +131,7 @@ def _measure_file(path: Path, config: CentroidConfig, mask: NDArray[np.bool_] | 
             try:
                 planes.append(Measured(path.name, picture.shape,
                                        of_picture(_masked(picture, mask), config),
-                                       picture.taken, picture.focal_px))
+                                       picture.taken, picture.focal_px, path, len(planes)))
             except ValueError as error:             # of the extraction
                 planes.append(str(error))
     except ImageFileError as error:

@@ -27,7 +27,7 @@ from starcal_ros.workflows.still_images import (atmosphere, calibration, folder 
                                                 opencv_camera, table)
 from starcal_ros.workflows.still_images.calibration import StillImageCamera
 from starcal_ros.workflows.still_images.folder import StarImages
-from starcal_ros.workflows.still_images.measured import read_mask
+from starcal_ros.workflows.still_images.measured import Measured, read_mask
 from starcal_ros.workflows.still_images.table import StillImages
 
 EPOCH = '2020-01-01T00:00:00'
@@ -91,6 +91,8 @@ class Source:
         What a result says of the images.
     others : tuple of Source
         The other cameras of the same folder.
+    measured : tuple of Measured
+        All images of the folder that could be read, with their spots.
     """
 
     name: str
@@ -103,6 +105,7 @@ class Source:
     notices: tuple[str, ...]
     details: Mapping[str, Any]
     others: tuple[Source, ...] = ()
+    measured: tuple[Measured, ...] = ()
 
     @property
     def label(self) -> str:
@@ -173,7 +176,8 @@ def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions()
         notices.append(f'{len(others) + 1} cameras, by size and focal length of the images: '
                        + '; '.join(source.label for source in (first, *others)))
     return replace(first, left_out=found.left_out, notices=(*notices, *first.notices),
-                   details={**first.details, 'left_out': found.left_out}, others=tuple(others))
+                   details={**first.details, 'left_out': found.left_out}, others=tuple(others),
+                   measured=found.measured)
 
 
 def _of_camera(folder: str, camera: StarImages, conditions: Conditions,
