@@ -18,6 +18,7 @@ import pkgutil
 from starcal_ros.calibration import methods
 from starcal_ros.calibration.camera_calibrator import CameraCalibrator
 from starcal_ros.calibration.method import CameraMethod
+from starcal_ros.config.models import own_focal_sigma_mm
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
@@ -40,11 +41,12 @@ def begin(scenario: Scenario, known: CameraEstimate | None = None) -> CameraMeth
     Raises
     ------
     ConfigError
-        Where there is no such method.
+        Where there is no such method, or it has no focal length for each frame.
     """
     name = scenario.intrinsics.method
     if name not in names():
         raise ConfigError(f'intrinsics.method: got {name!r}, allowed are {", ".join(names())}')
+    own_focal_sigma_mm(scenario)        # says what can not go together
     begun: CameraMethod = import_module(f'{methods.__name__}.{name}').start(scenario, known)
     return begun
 

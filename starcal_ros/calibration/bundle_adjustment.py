@@ -18,13 +18,20 @@ attitudes a, points d and camera c ::
 Where no direction is known the frames hang together by the points alone; one frame of each group
 that hangs together keeps its attitude, which costs nothing but the choice of axes.
 
+A lens that moves from image to image, by an autofocus, has a focal length of its own in each: it
+joins the attitude of the frame in a, with ``f_k = f + d_k``, ``d_k ~ N(0, own_sigma^2)`` about the
+focal length of the prior. That of the camera is then the mean of all f_k: with g_k the row of
+``N_aa^-1 N_ac`` that belongs to f_k ::
+
+    cov(f_k, f_l) = [k = l] (N_aa^-1)_ff + g_k S^-1 g_l',   cov(c, f_k) = -S^-1 g_k'      (B.3)
+
 Wrong spots get Geman and McClure's weight until the fit rests, then those outside the gate are
 left out. After Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,11 +41,15 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import INTRINSICS_SCALE
 from starcal_ros.core.units import ARCSEC
 
+_F = 2                  # of the intrinsics
+_OWN_UNIT = INTRINSICS_SCALE[_F]
+
 MIN_STARS = 2
 """Observations that a frame must have: two fix its attitude."""
 
 _ITERATIONS = 50
 _CONVERGED = 1e-3       # of a sigma; the error left is the square of that
+_OWN_CONVERGED = 1e-6   # of the unit of the focal length: a hundred-thousandth of a pixel
 _HALVINGS = 8
 _BEHIND_PX = 1e6        # residual of a star that the camera can not see: no weight is left
 _WIDTH = 3.0            # of the robust weight
@@ -91,6 +102,9 @@ class Adjusted:
         Size of the residuals of the spots used over what the stated sigmas promise.
     freedom : int
         Numbers of the spots used, less what was fitted to them.
+    own_f_mm, own_f_sigma_mm : (n,) array or None
+        Focal length of each frame and its sigma, Eq. (B.3), where each has its own; that of
+        `intrinsics` is their mean.
     """
 
     intrinsics: Array
@@ -101,10 +115,19 @@ class Adjusted:
     used: Mask
     scale: float
     freedom: int
+    own_f_mm: Array | None = None
+    own_f_sigma_mm: Array | None = None
+
+    def intrinsics_of(self, frame: Ints) -> Array:
+        """Return the camera (m, 7) of some frames (m)."""
+        every = np.tile(self.intrinsics, (len(frame), 1))
+        if self.own_f_mm is not None:
+            every[:, _F] = self.own_f_mm[frame]
+        return every
 
 
 def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, pitch_mm: float,
-           prior_covariance: Array, gate: float) -> Adjusted:
+           prior_covariance: Array, gate: float, own_f_sigma_mm: float = 0.0) -> Adjusted:
     """Fit camera, attitudes and unknown directions.
 
     Parameters
@@ -122,9 +145,12 @@ def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, p
         Of the prior; an intrinsic of variance 0 is held.
     gate : float
         Largest chi-square of a spot, two degrees of freedom, in units of the residuals' scale.
+    own_f_sigma_mm : float
+        By how much the focal length of each frame may differ from the prior's mean, where each
+        has its own [mm]; 0 where all have the camera's. All directions are known then.
     """
-    problem = _Problem(spots, intrinsics, pitch_mm, prior_covariance)
-    state = _State(intrinsics, C_si, points)
+    problem = _Problem(spots, intrinsics, pitch_mm, prior_covariance, own_f_sigma_mm)
+    state = _State(intrinsics, C_si, points, np.zeros(len(C_si)))
     used: Mask = np.ones(len(spots.frame), bool)
     for resisting in (True, False):
         state, scale = _settle(problem, state, used, resisting)
@@ -132,15 +158,29 @@ def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, p
         length = np.linalg.norm(residual, axis=-1) / spots.sigma
         used = _enough(spots.frame, length**2 <= gate * scale**2)
     weight = np.where(used, 1.0 / spots.sigma, 0.0)
-    covariance = problem.normal(state, weight).camera_covariance()
-    return Adjusted(state.intrinsics, covariance, state.C_si, state.points, residual, used, scale,
-                    problem.freedom(used))
+    normal = problem.normal(state, weight)
+    found = Adjusted(state.intrinsics, normal.camera_covariance(), state.C_si, state.points,
+                     residual, used, scale, problem.freedom(used))
+    return _with_own(found, state, normal) if own_f_sigma_mm else found
+
+
+def _with_own(found: Adjusted, state: _State, normal: _Normal) -> Adjusted:
+    """Return what fits best with the focal lengths of the frames, and their mean."""
+    of_frames, with_camera = normal.own_covariance()
+    intrinsics, covariance = found.intrinsics.copy(), found.covariance.copy()
+    own = intrinsics[_F] + state.own
+    intrinsics[_F] = own.mean()
+    covariance[_F, :] = covariance[:, _F] = with_camera.mean(axis=0)
+    covariance[_F, _F] = of_frames.mean()
+    return replace(found, intrinsics=intrinsics, covariance=covariance, own_f_mm=own,
+                   own_f_sigma_mm=np.sqrt(np.diag(of_frames)))
 
 
 class _State(NamedTuple):
     intrinsics: Array
     C_si: Array
     points: Array
+    own: Array = np.empty(0)    # by how much the focal length of a frame is not the camera's [mm]
 
 
 def _settle(problem: _Problem, state: _State, used: Mask, resisting: bool) -> tuple[_State, float]:
@@ -165,15 +205,17 @@ def _settle(problem: _Problem, state: _State, used: Mask, resisting: bool) -> tu
             step = _Step(*(0.5 * part for part in step))
         state = moved
         sigmas = np.sqrt(np.diag(normal.camera_covariance()))
-        if (np.abs(step.camera) <= _CONVERGED * sigmas).all() and np.abs(
-                step.attitude).max() < 1e-3 * ARCSEC:
+        if (np.abs(step.camera) <= _CONVERGED * sigmas).all() and (np.abs(
+                step.attitude[:, :3]).max() < 1e-3 * ARCSEC and np.abs(
+                step.attitude[:, 3:]).max(initial=0.0) < _OWN_CONVERGED):
             break
     return state, scale
 
 
 def _cost(residual: Array, weight: Array, problem: _Problem, state: _State) -> float:
     misfit = np.sum((residual * weight[:, None])**2)
-    return float(misfit + np.sum((problem.prior @ problem.offset(state))**2))
+    return float(misfit + np.sum((problem.prior @ problem.offset(state))**2)
+                 + problem.own_information * np.sum((state.own / _OWN_UNIT)**2))
 
 
 def _enough(frame: Ints, used: Mask) -> Mask:
@@ -192,9 +234,13 @@ class _Problem:
     """The spots and the prior; residuals and normal equations of a state."""
 
     def __init__(self, spots: Observations, mean: Array, pitch_mm: float,
-                 prior_covariance: Array) -> None:
+                 prior_covariance: Array, own_f_sigma_mm: float = 0.0) -> None:
         self.spots, self.mean, self.pitch_mm = spots, mean, pitch_mm
         self.free = np.diag(prior_covariance) > 0.0
+        self.own_information = 0.0
+        if own_f_sigma_mm:
+            self.free[_F] = False
+            self.own_information = (_OWN_UNIT / own_f_sigma_mm)**2
         self.scale = INTRINSICS_SCALE[self.free]
         block = prior_covariance[np.ix_(self.free, self.free)] / np.outer(self.scale, self.scale)
         self.prior = np.linalg.inv(np.linalg.cholesky(block))       # a root of the information
@@ -222,7 +268,8 @@ class _Problem:
         """Return the numbers of some spots less those of attitudes, directions and camera."""
         frames = len(np.setdiff1d(self.spots.frame[used], self.pinned))
         points = len(np.unique(self.spots.point[used & ~self.known]))
-        return int(2 * used.sum() - 3 * frames - 2 * points - self.free.sum())
+        of_frame = 4 if self.own_information else 3
+        return int(2 * used.sum() - of_frame * frames - 2 * points - self.free.sum())
 
     def offset(self, state: _State) -> Array:
         """Return how far the free intrinsics are from the prior's mean, in units of SCALE."""
@@ -240,9 +287,17 @@ class _Problem:
         ahead = r_s[:, 2] > 0.1
         return np.where(ahead[:, None], r_s, (0.0, 0.0, 1.0)), ahead
 
+    def cameras(self, state: _State) -> Array:
+        """Return the camera, (7,), or that of each spot, (m, 7)."""
+        if not self.own_information:
+            return state.intrinsics
+        every = np.tile(state.intrinsics, (len(self.spots.frame), 1))
+        every[:, _F] += state.own[self.spots.frame]
+        return every
+
     def residual(self, state: _State) -> Array:
         r_s, ahead = self.sight(state)
-        uv = camera.project(r_s, state.intrinsics, self.pitch_mm)
+        uv = camera.project(r_s[:, None], self.cameras(state), self.pitch_mm)[:, 0]
         return np.where(ahead[:, None], self.spots.uv - uv, _BEHIND_PX)
 
     def moved(self, state: _State, step: _Step) -> _State:
@@ -251,22 +306,31 @@ class _Problem:
         if len(points):
             points = points - (_tangent(points) @ step.point[..., None])[..., 0]
             points /= np.linalg.norm(points, axis=-1, keepdims=True)
+        own = step.attitude[:, 3] * _OWN_UNIT if self.own_information else 0.0
         return _State(state.intrinsics - step.camera,
-                      rotation.orthonormalized(rotation.exp(-step.attitude) @ state.C_si), points)
+                      rotation.orthonormalized(rotation.exp(-step.attitude[:, :3]) @ state.C_si),
+                      points, state.own - own)
 
     def normal(self, state: _State, weight: Array, residual: Array | None = None) -> _Normal:
         spots, p = self.spots, len(state.points)
         r_s, _ = self.sight(state)
-        _, H_a, H_c = camera.linearize(r_s, state.intrinsics, self.pitch_mm)
+        _, H_a, H_c = (each[:, 0] for each in camera.linearize(
+            r_s[:, None], self.cameras(state), self.pitch_mm))
         w = weight[:, None, None]
+        if self.own_information:
+            H_a = np.concatenate((H_a, H_c[..., _F:_F + 1] * _OWN_UNIT), axis=-1)
         H_a, H_c = w * H_a, w * H_c[..., self.free] * self.scale
         z = np.zeros((len(weight), 2)) if residual is None else -residual * weight[:, None]
 
         def per_frame(left: Array, right: Array) -> Array:
             return np.add.reduceat(np.swapaxes(left, -1, -2) @ right, self.first, axis=0)
 
-        N_aa = per_frame(H_a, H_a)
-        N_aa[self.pinned] += np.eye(3) / _PINNED**2
+        N_aa, b_a = per_frame(H_a, H_a), per_frame(H_a, z[..., None])[..., 0]
+        if self.own_information:
+            N_aa[:, 3, 3] += self.own_information
+            b_a[:, 3] += self.own_information * state.own / _OWN_UNIT
+        else:
+            N_aa[self.pinned] += np.eye(3) / _PINNED**2
         known = self.prior.T @ self.prior
         rows = H_c.reshape(2 * len(weight), len(self.scale))
         N_cc = rows.T @ rows + known
@@ -277,9 +341,8 @@ class _Problem:
             T = state.C_si[spots.frame[d]] @ _tangent(state.points[spots.point[d]])
             # A rotation by r x dr moves r by dr.
             H_d = H_a[d] @ np.cross(r_s[d, :, None], T, axis=1)
-        return _Normal(N_aa, per_frame(H_a, H_c), per_frame(H_a, z[..., None])[..., 0], N_cc, b_c,
-                       self.free, _Points(spots.frame[d], spots.point[d], p, H_d, H_a[d], H_c[d],
-                                          z[d]))
+        return _Normal(N_aa, per_frame(H_a, H_c), b_a, N_cc, b_c, self.free, _Points(
+            spots.frame[d], spots.point[d], p, H_d, H_a[d], H_c[d], z[d]))
 
 
 class _Points(NamedTuple):
@@ -357,6 +420,25 @@ class _Normal:
         covariance[np.ix_(self._free, self._free)] = np.linalg.inv(self._S) * np.outer(
             scale, scale)
         return covariance
+
+    def own_covariance(self) -> tuple[Array, Array]:
+        """Return the covariances of the focal lengths of the frames, Eq. (B.3).
+
+        Returns
+        -------
+        of_frames : (n, n) array
+            Of each with each [mm^2].
+        with_camera : (n, 7) array
+            With the intrinsics.
+        """
+        unit, scale = np.zeros((4, 1)), INTRINSICS_SCALE[self._free]
+        unit[3] = 1.0
+        whitened = np.linalg.solve(self._L, np.broadcast_to(unit, (len(self._L), 4, 1)))[..., 0]
+        g = np.einsum('ni,nij->nj', whitened, self._ac)
+        shared = np.linalg.solve(self._S, g.T).T if len(scale) else g
+        with_camera = np.zeros((len(g), 7))
+        with_camera[:, self._free] = -_OWN_UNIT * shared * scale
+        return (np.diag(np.sum(whitened**2, axis=1)) + shared @ g.T) * _OWN_UNIT**2, with_camera
 
 
 def _tangent(u: Array) -> Array:

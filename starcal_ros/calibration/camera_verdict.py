@@ -26,7 +26,7 @@ import numpy as np
 
 from starcal_ros.calibration import held_camera, residual_tests
 from starcal_ros.calibration.residual_tests import Consistency
-from starcal_ros.config.models import detector, of_intrinsics, star_gate
+from starcal_ros.config.models import detector, of_intrinsics, own_focal_sigma_mm, star_gate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
@@ -194,7 +194,7 @@ def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
     try:
         fitted = held_camera.fit(
             frames.take(enough), found.take(enough[frames.frame_index]), estimate.intrinsics,
-            scenario.camera.pixel_pitch_mm, gate)
+            scenario.camera.pixel_pitch_mm, gate, own_focal_sigma_mm(scenario))
     except np.linalg.LinAlgError:
         fitted = None
     if fitted is None:

@@ -38,9 +38,9 @@ class HeldFit(NamedTuple):
     catalog_id: Ints
 
 
-def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: float
-        ) -> HeldFit | None:
-    """Fit the attitudes alone; None where no frame has stars enough.
+def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: float,
+        own_f_sigma_mm: float = 0.0) -> HeldFit | None:
+    """Fit the attitudes alone, or with their focal lengths; None where no frame has enough stars.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: 
         The camera that is held.
     pitch_mm : float
         Pixel pitch [mm].
-    gate : float
+    gate, own_f_sigma_mm : float
         As for `bundle_adjustment.adjust`.
     """
     spots = bundle_start.identified(frames, stars)
@@ -60,7 +60,7 @@ def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: 
     r_s = camera.unproject(spots.uv, intrinsics, pitch_mm)
     adjusted = bundle_adjustment.adjust(
         spots, intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
-        np.zeros((7, 7)), gate)
+        np.zeros((7, 7)), gate, own_f_sigma_mm)
     known = catalog.load_containing(frames.catalog_id)
     number = frames.catalog_id[bundle_start.usable(frames, stars)]
     return HeldFit(spots, adjusted, residual_tests.fitted_stars(

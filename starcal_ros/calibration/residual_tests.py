@@ -97,8 +97,9 @@ class FittedStars(NamedTuple):
         NaN where it is not known.
     z : (n, 2) array
         Measured minus predicted centroid, in sigmas.
-    by_attitude : (n, 2, 3) array
-        d (predicted centroid) / d rotation, in sigmas.
+    by_attitude : (n, 2, 3) or (n, 2, 4) array
+        d (predicted centroid) / d rotation, in sigmas; and by the focal length that a frame has
+        for itself, where it has one.
     by_camera : (n, 2, 7) array
         The same by the intrinsics, in units of INTRINSICS_SCALE.
     rejected : int
@@ -169,12 +170,17 @@ def fitted_stars(spots: Observations, adjusted: Adjusted, magnitude: Array, pitc
     """
     used = adjusted.used
     frame, sigma = spots.frame[used], spots.sigma[used]
-    r_s = (adjusted.C_si[frame] @ spots.u_i[used][..., None])[..., 0]
-    uv, by_attitude, by_camera = camera.linearize(r_s, adjusted.intrinsics, pitch_mm)
+    r_s = adjusted.C_si[frame] @ spots.u_i[used][..., None]
+    uv, by_attitude, by_camera = (each[:, 0] for each in camera.linearize(
+        np.swapaxes(r_s, 1, 2), adjusted.intrinsics_of(frame), pitch_mm))
     weight = (1.0 / sigma)[:, None, None]
+    by_attitude, by_camera = weight * by_attitude, weight * by_camera * INTRINSICS_SCALE
+    if adjusted.own_f_mm is not None:       # it goes with the attitude
+        by_attitude = np.concatenate((by_attitude, by_camera[..., 2:3]), axis=-1)
+        by_camera[..., 2] = 0.0
     return FittedStars(
         frame, uv, sigma, magnitude[used], adjusted.residual[used] / sigma[:, None],
-        weight * by_attitude, weight * by_camera * INTRINSICS_SCALE, int((~used).sum()))
+        by_attitude, by_camera, int((~used).sum()))
 
 
 def consistency(stars: FittedStars, estimate: CameraEstimate, detector: Detector, gated: float,

@@ -31,7 +31,7 @@ DESCRIPTION = ('Calibrate the camera alone, from what the stars are to each othe
                'status 0 means consistent, 3 that it is not enough yet, 4 that the data '
                'contradict the camera.')
 
-_OPTIONS = ('method', 'estimate', 'weighting', 'combination_model', 'singular_values',
+_OPTIONS = ('method', 'estimate', 'free', 'weighting', 'combination_model', 'singular_values',
             'interstar_equations')
 _NODES = ('intrinsics_estimator', 'centroid_extractor')
 _BATCHES = 50       # in which the frames are handed over, for the sake of the progress bar

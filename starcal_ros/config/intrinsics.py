@@ -24,6 +24,9 @@ class IntrinsicsConfig:
     estimate: Annotated[tuple[str, ...], Spec(
         'Intrinsics to estimate; the others stay at their nominal values',
         choices=INTRINSICS)] = INTRINSICS
+    free: Annotated[tuple[str, ...], Spec(
+        'Of bundle, with identified stars: what each frame has for itself, such as the focal '
+        'length behind an autofocus; the estimate is their mean', choices=('f',))] = ()
     weighting: Annotated[str, Spec(
         'Weights of angular_distance and singular_value: full counts the correlations of the '
         'residuals of one frame, diagonal does not (the paper)', choices=('full', 'diagonal'))

@@ -10,6 +10,7 @@ import numpy as np
 
 from starcal_ros.config.estimator import EstimatorConfig, ProcessNoiseConfig, SigmaConfig
 from starcal_ros.config.instrument import CameraConfig, MountingConfig, ObserverConfig
+from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.config.truth import TrueCameraConfig, TrueObserverConfig
 from starcal_ros.core import rotation
@@ -65,6 +66,23 @@ def nominal_camera(scenario: Scenario, known: CameraEstimate | None = None) -> C
     free = np.isin(INTRINSICS, scenario.intrinsics.estimate)
     covariance = np.where(np.outer(free, free), known.covariance, 0.0)
     return dataclasses.replace(known, covariance=covariance)
+
+
+def own_focal_sigma_mm(scenario: Scenario) -> float:
+    """Return by how much the focal length of a frame may be its own [mm]; 0 where none has one.
+
+    Raises
+    ------
+    ConfigError
+        Where the method has but one camera.
+    """
+    chosen = scenario.intrinsics
+    if 'f' not in chosen.free:
+        return 0.0
+    if chosen.method != 'bundle' or 'f' not in chosen.estimate:
+        raise ConfigError('intrinsics.free: got f, needs intrinsics.method bundle and f in '
+                          'intrinsics.estimate')
+    return scenario.estimator.initial_sigma.focal_length_mm
 
 
 def with_camera(scenario: Scenario, values: Array) -> Scenario:

@@ -66,10 +66,17 @@ def still_images(result: dict[str, Any], title: str) -> Table:
         f'{counts["images"]} images, {counts["stars"]} stars used, {counts["rejected_stars"]} '
         f'rejected; residual of an axis {result["fit_rms_px"]:.4f} px'
         + ('' if heldout is None else f', {heldout:.4f} px on held-out images')
-        + _doubt(result))
+        + _own_f(result) + _doubt(result))
     for key in result['parameters']:
         out.add_row(*entry(result, key))
     return out
+
+
+def _own_f(result: dict[str, Any]) -> str:
+    """Say what the focal lengths of the images are, where each has its own."""
+    own = [each['f_px'] for each in result.get('own_f_px', {}).values()]
+    return (f'; f is the mean of the images, which have {min(own):.2f} to {max(own):.2f} px'
+            if own else '')
 
 
 def entry_columns(result: dict[str, Any]) -> tuple[str, ...]:

@@ -99,15 +99,21 @@ def _images(found: StillImageCamera) -> list[str]:
 
 
 def _each_image(outcome: dict[str, Any]) -> list[str]:
-    rows = [[each['image'], *(f'{each[key]:.2f}' for key in _OWN),
+    own = outcome.get('own_f_px', {})
+    rows = [[each['image'], *([_value(own.get(each['image']))] if own else []),
+             *(f'{each[key]:.2f}' for key in _OWN),
              *(f'{each["sigma"][key]:.2f}' for key in _OWN),
              'another camera' if each['disagrees'] else ''] for each in outcome['each_image']]
     return [section(
         'each-image', 'Images one by one',
         paragraph('The camera that each image alone asks for. Those that ask for another one than '
                   'all together do, beyond chance, are marked.'),
-        table(['image', 'f [px]', 'u0 [px]', 'v0 [px]', 'sigma f', 'sigma u0', 'sigma v0', ''],
-              rows))] if rows else []
+        table(['image', *(['f, the rest shared [px]'] if own else []), 'f [px]', 'u0 [px]',
+               'v0 [px]', 'sigma f', 'sigma u0', 'sigma v0', ''], rows))] if rows else []
+
+
+def _value(found: dict[str, float] | None) -> str:
+    return f'{found["f_px"]:.2f} ± {found["sigma"]:.2f}' if found else ''
 
 
 def _left_out(outcome: dict[str, Any]) -> list[str]:

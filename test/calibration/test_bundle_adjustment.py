@@ -99,6 +99,51 @@ def test_it_is_the_least_squares_fit_of_all_unknowns(named):
                                covariance / np.outer(sigma, sigma), atol=1e-3)
 
 
+def test_focal_lengths_of_frames_are_the_least_squares_fit():
+    """Each frame its own; scipy with nothing eliminated comes to the same, sigmas included."""
+    rng, n = np.random.default_rng(4), 5
+    own = np.array([0.0, 0.05, -0.03, 0.02, 0.06])
+    spots, C_si, u, _ = scene(rng, n, 60)
+    true = np.tile(INTRINSICS, (len(spots.frame), 1))
+    shifted = true.copy()
+    shifted[:, 2] += own[spots.frame]
+    r_s = C_si[spots.frame] @ spots.u_i[..., None]
+    shift = [camera.project(np.swapaxes(r_s, 1, 2), each, PITCH_MM)[:, 0]
+             for each in (true, shifted)]
+    spots = spots._replace(uv=spots.uv + shift[1] - shift[0])
+    free = np.array([0, 1, 3, 4, 5, 6])
+    scale = np.concatenate((np.full(3 * n, 1e-5), PRIOR[free] * 1e-3, np.full(n, 1e-3)))
+
+    def misfit(x):
+        x = scale * x
+        C = rotation.exp(x[:3 * n].reshape(n, 3)) @ C_si
+        intrinsics = np.tile(INTRINSICS, (len(spots.frame), 1))
+        intrinsics[:, free] += x[3 * n:3 * n + 6]
+        intrinsics[:, 2] += x[3 * n + 6:][spots.frame]
+        uv = camera.project(np.swapaxes(C[spots.frame] @ spots.u_i[..., None], 1, 2), intrinsics,
+                            PITCH_MM)[:, 0]
+        return np.concatenate((((spots.uv - uv) / SIGMA).ravel(), x[3 * n:3 * n + 6] / PRIOR[free],
+                               x[3 * n + 6:] / PRIOR[2]))
+
+    best = least_squares(misfit, np.zeros(len(scale)), '3-point', x_scale='jac', xtol=1e-12)
+    found = adjust(spots, INTRINSICS, C_si, NO_POINTS, PITCH_MM, PRIOR_P, np.inf, PRIOR[2])
+    covariance = np.linalg.inv(best.jac.T @ best.jac) * np.outer(scale, scale)
+    solution, f = scale * best.x, slice(3 * n + 6, None)
+    sigma = np.sqrt(np.diag(covariance)[f])
+    np.testing.assert_allclose(found.own_f_sigma_mm, sigma, rtol=1e-3)
+    np.testing.assert_allclose((found.own_f_mm - INTRINSICS[2] - solution[f]) / sigma, 0.0,
+                               atol=5e-3)
+    assert found.intrinsics[2] == pytest.approx(found.own_f_mm.mean())
+    # The camera with the mean of the focal lengths.
+    T = np.zeros((7, len(scale)))
+    T[free, 3 * n + np.arange(6)], T[2, f] = 1.0, 1.0 / n
+    expected = T @ covariance @ T.T
+    root = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found.covariance / np.outer(root, root),
+                               expected / np.outer(root, root), atol=2e-3)
+    assert found.freedom == 2 * len(spots.frame) - 4 * n - 6
+
+
 @pytest.mark.parametrize('named', [True, False])
 def test_covariance_says_the_truth(named):
     """NEES of independent runs lies in its 99.9 % interval."""

@@ -82,6 +82,44 @@ def test_a_camera_that_moves_has_the_sigma_of_its_images(tmp_path, capsys):
     assert low < np.sum(np.square(miss)) < high
 
 
+def test_a_focal_length_for_each_image(tmp_path, capsys):
+    """The mean of eight that scatter by 5 px, and each, as well as the sigmas say."""
+    squares, own, table, out = [], [], tmp_path / 's.csv', tmp_path / 'c.json'
+    for seed in range(4):
+        focal_px = TRUE['f_px'] + 5.0 * np.random.default_rng(seed).standard_normal(8)
+        write(table, focal_px, seed)
+        status, found = calibrated(
+            table, out, '--width', '640', '--height', '480', '--epoch', EPOCH, '--free', 'f',
+            '--overwrite', '--report', str(tmp_path / 'page.html'))
+        assert status == 0 and found['consistency'] and found['sigma']['f_px'] < 0.6
+        true = np.array([{**TRUE, 'f_px': focal_px.mean()}[key] for key in found['parameters']])
+        error = np.array([found[key] for key in found['parameters']]) - true
+        squares.append(error @ np.linalg.solve(found['covariance'], error))
+        assert len(found['own_f_px']) == 8
+        own += [(each['f_px'] - focal_px[int(name[0])]) / each['sigma']
+                for name, each in found['own_f_px'].items()]
+        assert found['sigma_between_images']['f_px'] > 2.0 * found['sigma']['f_px']
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], 7 * len(squares))
+    assert low < np.sum(squares) < high
+    # The rest of the camera is shared, and with it most of the errors of one run.
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], len(squares)) / len(squares)
+    assert np.abs(own).max() < 4.0 and low < np.mean(np.square(own)) < high
+    assert 'f is the mean of the images, which have ' in capsys.readouterr().out
+    assert 'f, the rest shared [px]' in (tmp_path / 'page.html').read_text()
+
+
+def test_a_focal_length_for_each_image_is_for_the_bundle(tmp_path, capsys):
+    write(tmp_path / 's.csv', np.full(4, TRUE['f_px']), 1)
+    words = ['intrinsics', '--centroids', str(tmp_path / 's.csv'), '--width', '640', '--height',
+             '480', '--free']
+    for more, culprit in ((['f', '--method', 'angular_distance'],
+                           'needs intrinsics.method bundle'),
+                          (['f', '--estimate', 'u0'], 'and f in intrinsics.estimate'),
+                          (['k9'], "intrinsics.free: got 'k9'")):
+        assert main([*words, *more]) == 2
+        assert culprit in capsys.readouterr().err
+
+
 def test_too_few_images_tell_no_scatter(tmp_path):
     write(tmp_path / 's.csv', np.full(3, TRUE['f_px']), 1)
     _, found = of_table(tmp_path / 's.csv', tmp_path / 'c.json')
@@ -103,3 +141,10 @@ def test_a_phone_whose_lens_moves(tmp_path):
     for each in found['each_image']:
         f_px, sigma = truth['f_px_each'][each['image'][4:8]]
         assert abs(each['f_px'] - f_px) < sigma
+    status, own = calibrated(PHONE / 'stars.csv', tmp_path / 'own.json', '--width', str(width),
+                             '--height', str(height), '--free', 'f')
+    assert own['fit_rms_px'] < 0.95 * found['fit_rms_px']
+    assert abs(own['f_px'] - found['f_px']) < truth['honest_sigma_of_joint']
+    # The stabiliser moves its principal point, too: that is still held against it.
+    assert status == 4 and 'IMG_3048.jpg' in own['own_f_px']
+    assert any(each['disagrees'] for each in own['each_image'])

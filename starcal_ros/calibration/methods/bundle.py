@@ -18,7 +18,7 @@ from starcal_ros.calibration import residual_tests
 from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Observations, adjust
 from starcal_ros.calibration.bundle_start import attitudes, identified
 from starcal_ros.calibration.residual_tests import Consistency
-from starcal_ros.config.models import nominal_camera, star_gate, with_camera
+from starcal_ros.config.models import nominal_camera, own_focal_sigma_mm, star_gate, with_camera
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
@@ -64,10 +64,14 @@ class Bundle:
         Size of the residuals over what the sigmas promise, of the last estimate.
     consistency : Consistency
         What the residuals of unidentified spots say of the last estimate.
+    own_f_mm : (n, 2) array or None
+        Focal length of each frame with stars enough, and its sigma (``intrinsics.free``).
     """
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
         self.misfit, self.consistency = np.inf, Consistency()
+        self.own_f_mm: Array | None = None
+        self._own_f_sigma_mm = own_focal_sigma_mm(scenario)
         self._prior = nominal_camera(scenario, known)
         self._scenario = with_camera(scenario, self._prior.intrinsics)
         self._pitch_mm = scenario.camera.pixel_pitch_mm
@@ -91,12 +95,17 @@ class Bundle:
         """Adjust the camera to all frames so far; None while no frame has stars enough."""
         frames = Frames.concatenate(self._frames)
         identified_ = (frames.catalog_id > 0).any()
+        if self._own_f_sigma_mm and not identified_:
+            self._notices.once('own', 'intrinsics.free: a focal length for each frame needs '
+                               'identified stars')
+            return None
         start_ = self._from_stars(frames) if identified_ else self._from_tracks(frames)
         if start_ is None:
             return None
         try:
             adjusted = adjust(start_.spots, self._prior.intrinsics, start_.C_si, start_.points,
-                              self._pitch_mm, self._prior.covariance, self._gate)
+                              self._pitch_mm, self._prior.covariance, self._gate,
+                              self._own_f_sigma_mm)
         except np.linalg.LinAlgError:       # spots that no camera like the nominal one can see
             self._notices.once('lost', f'{len(start_.spots.frame)} spots do not fit a camera '
                                'that is anything like the nominal one')
@@ -104,6 +113,8 @@ class Bundle:
         self.misfit = adjusted.scale
         self.consistency = Consistency() if identified_ else residual_tests.of_unidentified(
             adjusted, start_.spots.sigma, self._gated)
+        if adjusted.own_f_mm is not None and adjusted.own_f_sigma_mm is not None:
+            self.own_f_mm = np.stack((adjusted.own_f_mm, adjusted.own_f_sigma_mm), axis=-1)
         used = int(adjusted.used.sum())
         if used < len(adjusted.used):
             self._notices.once('rejected', f'{len(adjusted.used) - used} of '

@@ -25,7 +25,7 @@ from starcal_ros.calibration import bundle_adjustment, camera_verdict, held_came
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.calibration.camera_verdict import CameraVerdict
 from starcal_ros.calibration.residual_tests import Consistency, FittedStars
-from starcal_ros.config.models import detector, star_gate
+from starcal_ros.config.models import detector, own_focal_sigma_mm, star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.core.arrays import Array, Ints, Mask
@@ -102,6 +102,9 @@ class StillImageCamera:
         What each image alone asks for.
     scatter : (7,) array or None
         Variances of the camera from the scatter between images, in the order of KEYS.
+    own_f_px : (n, 2) array or None
+        Focal length of each fitted image and its sigma, where each has its own
+        (``intrinsics.free``); that of the camera is their mean.
     """
 
     estimate: CameraEstimate
@@ -112,6 +115,7 @@ class StillImageCamera:
     verdict: CameraVerdict
     own: tuple[OwnCamera, ...] = ()
     scatter: Array | None = None
+    own_f_px: Array | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON, the covariance in the order of KEYS."""
@@ -131,6 +135,9 @@ class StillImageCamera:
             'centroid_sigma_px': self.sigma_px, 'fit_rms_px': self.fit.rms_px,
             'heldout_rms_px': self.heldout.rms_px if self.heldout else None,
             **judged,
+            **({} if self.own_f_px is None else {'own_f_px': {
+                name: {'f_px': f_px, 'sigma': sigma}
+                for name, (f_px, sigma) in zip(self.fit.names, self.own_f_px.tolist())}}),
             'each_image': [each.as_dict() for each in self.own],
             'counts': {'images': self.estimate.frames, 'stars': self.estimate.stars,
                        'rejected_stars': int((~self.fit.adjusted.used).sum()),
@@ -213,8 +220,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
         fit = refit(images, stars, ~images.heldout, estimate, scenario)
         assert fit is not None          # or there would be no estimate
         adjusted = fit.adjusted
-        freedom = max(1, 2 * int(adjusted.used.sum()) - 3 * len(adjusted.C_si)
-                      - int(np.count_nonzero(estimate.sigma)))
+        freedom = max(1, adjusted.freedom - int(np.count_nonzero(estimate.sigma)))
         residual, given = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
         sigma = float(np.sqrt(np.sum(residual**2) / freedom))
         heldout = refit(images, stars, images.heldout, estimate, scenario)
@@ -227,7 +233,9 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
         result = StillImageCamera(estimate, sigma, fit, heldout, scenario,
                                   _verdict(found, estimate, scenario))
         if k == rounds - 1:
-            return _between_images(result, fitted)
+            own = getattr(method, 'own_f_mm', None)
+            return _between_images(replace(
+                result, own_f_px=None if own is None else own / PITCH_MM), fitted)
         scale = float(np.sqrt(np.sum((residual / given[:, None])**2) / freedom))
         stated *= scale
         known = measured.sigma > 0.0
@@ -287,7 +295,7 @@ def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimat
     images = images.which(part)
     frames = images.frames
     fitted = held_camera.fit(frames, stars, estimate.intrinsics, scenario.camera.pixel_pitch_mm,
-                             star_gate(scenario.estimator))
+                             star_gate(scenario.estimator), own_focal_sigma_mm(scenario))
     if fitted is None:
         return None
     enough = np.bincount(frames.frame_index, np.isfinite(stars.sigma),

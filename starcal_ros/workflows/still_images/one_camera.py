@@ -27,6 +27,7 @@ from starcal_ros.calibration.residual_tests import IMAGES
 from starcal_ros.config.models import of_intrinsics, star_gate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.distributions import f_isf
 from starcal_ros.core.statistic import ALARM, Statistic
@@ -52,7 +53,8 @@ class OwnCamera(NamedTuple):
     values, sigma : (7,) array
         In OpenCV's model, in the order of `opencv_camera.KEYS`.
     disagrees : bool
-        Whether focal length and principal point are not those of all, beyond chance.
+        Whether focal length and principal point are not those of all, beyond chance; what each
+        image has for itself (``intrinsics.free``) left aside.
     """
 
     name: str
@@ -84,7 +86,7 @@ def own_cameras(names: tuple[str, ...], spots: Observations, adjusted: Adjusted,
     """
     free = estimate.sigma > 0.0
     prior = np.diag(np.where(free, of_intrinsics(scenario.estimator.initial_sigma), 0.0)**2)
-    own = [k for k in _OWN if free[k]]
+    own = [k for k in _OWN if free[k] and INTRINSICS[k] not in scenario.intrinsics.free]
     found = []
     for k, name in enumerate(names if own else ()):
         row = spots.frame == k
