@@ -58,6 +58,8 @@ _ADVICE = {
     residual_tests.TIME: 'the camera changes from frame to frame: focus, stabiliser, temperature',
     residual_tests.IMAGES: 'the images are not of one camera, each has a focal length of its own '
                            'or another principal point: autofocus, stabiliser, zoom',
+    residual_tests.AIR: 'the air is not that of the time and the site that were stated: '
+                        '--utc-offset or --epoch, --site',
     residual_tests.AGREEMENT: 'these stars ask for another camera: wrong weights, or what the '
                               'method began with is wrong',
     residual_tests.SCATTER_CELLS: 'the noise depends on the place: state a sigma for each star',

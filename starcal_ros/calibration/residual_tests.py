@@ -67,6 +67,7 @@ LENS, CELLS, PHASE = 'lens beyond the model', 'mean over the detector', 'mean ov
 TIME, AGREEMENT = 'camera from frame to frame', 'camera of the method against these stars'
 SCATTER_CELLS, SCATTER_MAGNITUDE = 'scatter over the detector', 'scatter over the magnitude'
 IMAGES = 'images that ask for another camera'
+AIR = 'air of another time, or none'
 HELD_OUT = 'held-out images against fitted ones'
 
 _LEAST = 30             # degrees of freedom before a statistic says anything

@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='field of view across the width, for IMAGES to 10 %%; default: found '
                         'from the file (EXIF, FITS), or from the stars (1.5 to 100 deg)')
     images.add_argument('--epoch', metavar='TIME',
-                        help='when they were taken, ISO 8601, UTC, where the file of an image '
-                        'does not say it (DATE-OBS of FITS, EXIF); default: 2020, for the proper '
+                        help='when they were taken, ISO 8601, UTC, whatever their files say '
+                        '(DATE-OBS of FITS, EXIF); where neither tells: 2020, for the proper '
                         'motions')
     images.add_argument('--aberration', action='store_true',
                         help='count the aberration of an observer on the Earth at that time')
@@ -56,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='counts from which a pixel is saturated; default: SATURATE of FITS, '
                         'else the top of the type of the file')
     folder.add_argument('--utc-offset', metavar='HOURS', type=float,
-                        help='of the clock of the camera, where the file does not say it: '
-                        '--utc-offset=-7 for UTC-7; default: UTC')
+                        help='of the clock of the camera, whatever the files say: '
+                        '--utc-offset=-7 for UTC-7; default: what they say, else UTC')
     folder.add_argument('--mask', metavar='IMAGE',
                         help='image of the same size, black where nothing is to be looked for: '
                         'trees, a horizon, text')
@@ -158,7 +158,8 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     drawn = _drawn(options, source.measured, (first, *others), source.left_out)
     if options.report:
         from starcal_ros.report.still_images_page import write_still_images_page
-        write_still_images_page(options.report, found, outcome, [*source.notices], drawn)
+        doubts = [*filter(None, [outcome.get('air', {}).get('doubt')])]
+        write_still_images_page(options.report, found, outcome, [*source.notices, *doubts], drawn)
     return outcome
 
 
@@ -202,6 +203,8 @@ def _other(source: Source, given: dict[str, Any]) -> Calibrated | None:
 
 def _show(source: Source, outcome: dict[str, Any], one_of_several: bool) -> None:
     from starcal_ros import report
+    if doubt := outcome.get('air', {}).get('doubt'):
+        say(f'warning: {doubt}')
     show(report.still_images(outcome, f'Camera of {source.name}, {outcome["method"]}'
                              + (f': {source.label}' if one_of_several else '')))
     show('\n'.join(report.verdict_lines(outcome)))

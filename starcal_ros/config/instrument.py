@@ -103,7 +103,7 @@ class MotionConfig:
 
 @dataclass(frozen=True)
 class ObserverConfig:
-    """Where the camera is and how fast it moves: parallax and stellar aberration."""
+    """Where the camera is and how fast it moves: parallax, stellar aberration, refraction."""
 
     velocity: Annotated[str, Spec(
         'Whose velocity aberrates the stars', choices=('barycentre', 'geocentre', 'orbit'))
@@ -116,3 +116,13 @@ class ObserverConfig:
     argument_of_latitude_deg: Annotated[float, Spec(
         'Circular orbit: argument of latitude at the epoch', 'deg', -360.0, 360.0)] = 0.0
     epoch_utc: Annotated[str, Spec('Circular orbit: epoch, ISO 8601')] = '2026-07-01T00:00:00'
+    site_deg: Annotated[Floats | None, Spec(
+        'On the ground: latitude and longitude, north and east; stars are then seen through the '
+        'air, at the time of their stamps. Left out, there is no air', 'deg', -360.0, 360.0, 2)
+    ] = None
+    site_height_m: Annotated[float, Spec('Height of the site', 'm', -500.0, 50000.0)] = 0.0
+    site_pressure_hpa: Annotated[float | None, Spec(
+        'Pressure at the site; left out, that of the standard atmosphere', 'hPa', 0.0, 1200.0)
+    ] = None
+    site_temperature_c: Annotated[float | None, Spec(
+        'Temperature at the site, likewise', 'deg C', -100.0, 60.0)] = None

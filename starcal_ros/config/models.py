@@ -19,6 +19,7 @@ from starcal_ros.core.camera import INTRINSICS, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.distributions import chi2_ppf_of_two
 from starcal_ros.sky.apparent import Observer
+from starcal_ros.sky.refraction import Site
 
 _KINDS = (3, 3, 2, 1, 1, 1, 1, 1)       # calibrated states of each kind that a SigmaConfig has
 
@@ -51,7 +52,10 @@ def observer(config: ObserverConfig, instead: TrueObserverConfig | None = None) 
     for item in dataclasses.fields(config):
         value = getattr(instead, item.name, None)
         values[item.name] = getattr(config, item.name) if value is None else value
-    return Observer(**values)
+    at, height_m, pressure_hpa, temperature_c = (values.pop(f'site_{name}') for name in (
+        'deg', 'height_m', 'pressure_hpa', 'temperature_c'))
+    site = None if at is None else Site(at[0], at[1], height_m, pressure_hpa, temperature_c)
+    return Observer(**values, site=site)
 
 
 def nominal_camera(scenario: Scenario, known: CameraEstimate | None = None) -> CameraEstimate:

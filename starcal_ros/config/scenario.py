@@ -208,6 +208,14 @@ def _check_together(scenario: Scenario) -> Iterator[str]:
         value = _get(scenario, key)
         if value is not None and abs(math.hypot(*value) - 1.0) > 1e-6:
             yield f'{key}: got norm {math.hypot(*value):.9g}, a quaternion has norm 1'
+    for name, at, velocity in (
+            ('observer', scenario.observer.site_deg, scenario.observer.velocity),
+            ('truth.observer', scenario.truth.observer.site_deg or scenario.observer.site_deg,
+             scenario.truth.observer.velocity or scenario.observer.velocity)):
+        if at is not None and abs(at[0]) > 90.0:
+            yield f'{name}.site_deg: got a latitude of {at[0]:g}, needs -90 to 90'
+        if at is not None and velocity == 'orbit':
+            yield f'{name}.site_deg: got a site on the ground and velocity orbit, one is allowed'
     motion = scenario.motion
     if not motion.axes or len(motion.axes) != len(motion.angles_deg):
         yield (f'motion.angles_deg: got {len(motion.angles_deg)} angles for '

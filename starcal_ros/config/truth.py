@@ -85,6 +85,14 @@ class TrueObserverConfig:
     argument_of_latitude_deg: Annotated[float | None, Spec(
         'Circular orbit: argument of latitude at the epoch', 'deg', -360.0, 360.0)] = None
     epoch_utc: Annotated[str | None, Spec('Circular orbit: epoch, ISO 8601')] = None
+    site_deg: Annotated[Floats | None, Spec(
+        'On the ground: latitude and longitude, north and east', 'deg', -360.0, 360.0, 2)] = None
+    site_height_m: Annotated[float | None, Spec(
+        'Height of the site', 'm', -500.0, 50000.0)] = None
+    site_pressure_hpa: Annotated[float | None, Spec(
+        'Pressure at the site; 0 is no air', 'hPa', 0.0, 1200.0)] = None
+    site_temperature_c: Annotated[float | None, Spec(
+        'Temperature at the site', 'deg C', -100.0, 60.0)] = None
 
 
 @dataclass(frozen=True)

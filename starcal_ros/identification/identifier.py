@@ -26,7 +26,6 @@ from starcal_ros.identification.matching import Expected, View, chance, expected
 from starcal_ros.identification.star_field import StarField
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.catalog import SHIPPED_LIMIT
-from starcal_ros.sky.refraction import Site
 
 MODEL_SIGMA_PX = 0.2
 """What no camera model explains of the place of a star, each axis [px]."""
@@ -98,15 +97,13 @@ class Identifier:
         Error of a turn that is given with a frame, each axis [rad].
     acceleration_sigma : float
         Change of the rate from frame to frame where no turn is given, each axis [rad/s^2].
-    site : Site, optional
-        Where the camera looks through the air, for frames whose time is known.
     """
 
     def __init__(self, guess: CameraGuess, observer: Observer = Observer(),
                  limiting_magnitude: float = SHIPPED_LIMIT, turn_sigma: float = 5e-4,
-                 acceleration_sigma: float = 5e-3, site: Site | None = None) -> None:
+                 acceleration_sigma: float = 5e-3) -> None:
         self._guess = guess
-        self._sky = StarField(observer, limiting_magnitude, site)
+        self._sky = StarField(observer, limiting_magnitude)
         self._limiting_magnitude = limiting_magnitude
         self._turn_sigma, self._acceleration_sigma = turn_sigma, acceleration_sigma
         self._drift = _CAMERA_DRIFT * View.around(

@@ -16,7 +16,6 @@ from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
-from starcal_ros.sky.refraction import Site, refracted
 
 _TIMELESS_NS = unix_ns('2020-01-01')
 _MARGIN = 1.1           # of the detector: aberration, and what the camera is wrong by
@@ -47,19 +46,16 @@ class StarField:
     ----------
     observer : Observer
         Who looks, where the time is known. Without a time the places are those of 2020 without
-        parallax and aberration, which would shift a field by 20" and scale it by 1e-4 at most.
+        parallax and aberration, which would shift a field by 20" and scale it by 1e-4 at most,
+        and without air.
     limiting_magnitude : float
         Faintest star, Hp.
-    site : Site, optional
-        On the ground, where the time is known: places are those through the air.
     """
 
-    def __init__(self, observer: Observer, limiting_magnitude: float,
-                 site: Site | None = None) -> None:
-        self._site = site
+    def __init__(self, observer: Observer, limiting_magnitude: float) -> None:
         self._stars = catalog.load(limiting_magnitude)
         self._observer = observer
-        self._timeless = dataclasses.replace(observer, velocity='barycentre')
+        self._timeless = dataclasses.replace(observer, velocity='barycentre', site=None)
         self._brightest = np.argsort(self._stars.magnitude, kind='stable')
         self._direction = erfa.s2c(self._stars.ra, self._stars.dec)[self._brightest]
 
@@ -82,7 +78,4 @@ class StarField:
     def _places(self, row: Ints, stamp_ns: int | None) -> Array:
         when, who = ((_TIMELESS_NS, self._timeless) if stamp_ns is None
                      else (stamp_ns, self._observer))
-        places = apparent_places(self._stars, row, [when], [len(row)], who)
-        if self._site is None or stamp_ns is None:
-            return places
-        return refracted(places, np.full(len(row), stamp_ns), self._site)
+        return apparent_places(self._stars, row, [when], [len(row)], who)

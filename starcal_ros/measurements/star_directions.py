@@ -13,6 +13,7 @@ from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
+from starcal_ros.sky.refraction import LOWEST_DEG, altitude
 
 LEAST_SIGMA_PX = 1e-4
 """Least sigma of a centroid; below, the arithmetic of a filter ends."""
@@ -61,6 +62,13 @@ class StarDirections:
         u_i[usable] = apparent_places(
             stars, row[usable], frames.stamp_ns,
             np.bincount(frames.frame_index[usable], minlength=len(frames)), self._observer)
+        if (site := self._observer.site) is not None:
+            low = usable & (np.degrees(altitude(
+                u_i, frames.stamp_ns[frames.frame_index], site)) < LOWEST_DEG)
+            usable &= ~low
+            if notices is not None and low.any():
+                notices.once('low', f'stars lower than {LOWEST_DEG:g} deg, or under the horizon '
+                             '(observer.site_deg), are unusable')
         if notices is not None:
             _name_unknown(frames.catalog_id[measured & (row < 0)], notices)
         return Stars(u_i, np.where(measured[:, None], uv, 0.0), np.where(usable, sigma, np.inf))

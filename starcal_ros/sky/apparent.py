@@ -10,6 +10,7 @@ tools, chapter 3; here their free edition ERFA):
 1. proper motion from J1991.25 to the epoch of the stamp, and annual parallax  (``pmpx``)
 2. deflection of light by the Sun, 4 mas at 90 deg from it                     (``ldsun``)
 3. stellar aberration, rigorous, for the observer's barycentric velocity v     (``ab``)
+4. refraction, where the observer is at a site on the ground                   (`refraction`)
 
 Aberration is v/c = 20.5" for the Earth and 5" more in low orbit, and it is not a mere rotation:
 at the angle a from v, angles shrink or grow by 1 / (gamma (1 + v/c cos a)), up to 1e-4.
@@ -23,18 +24,11 @@ Observers
 Nothing is downloaded. Left out: radial velocities, which are not in the catalogue (in 2026 they
 have moved 61 Cygni by 0.13", the worst of the shipped stars), deflection by the planets and by
 the Earth (0.6 mas at its limb), TDB - TT (2 ms), orbital perturbations.
-
-Time
-----
-Stamps are ROS's: ns since 1970-01-01 UTC without leap seconds. TAI - UTC comes from ERFA's table;
-before 1972 its first whole value, 10 s, is used. A stamp inside a leap second cannot be told from
-the second beside it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
 
 import erfa
 import numpy as np
@@ -43,6 +37,9 @@ from numpy.typing import ArrayLike
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.sky.catalog import Catalog
+from starcal_ros.sky.earth import earth
+from starcal_ros.sky.refraction import Site, refracted
+from starcal_ros.sky.time_scales import tai_ns, tt_julian_date
 
 GM_EARTH = 3.986004418e14
 """Geocentric gravitational constant [m^3/s^2]: IERS Conventions (2010), Table 1.1."""
@@ -52,10 +49,6 @@ EARTH_RADIUS = 6378136.6
 
 OBSERVERS = ('barycentre', 'geocentre', 'orbit')
 
-_DAY_NS = 86_400_000_000_000
-_NODE_NS = 600_000_000_000
-_TT_MINUS_TAI_NS = 32_184_000_000
-_JD_1970 = 2440587.5
 _JD_J1991_25 = 2448349.0625
 
 
@@ -75,6 +68,8 @@ class Observer:
         Angle from the ascending node at `epoch_utc` [deg].
     epoch_utc : str
         ISO 8601; UTC unless it says otherwise.
+    site : Site, optional
+        Where on the ground, with the air above; not with ``orbit``.
     """
 
     velocity: str = 'geocentre'
@@ -83,11 +78,14 @@ class Observer:
     raan_deg: float = 0.0
     argument_of_latitude_deg: float = 0.0
     epoch_utc: str = '2026-07-01T00:00:00'
+    site: Site | None = None
 
     def __post_init__(self) -> None:
         if self.velocity not in OBSERVERS:
             raise ValueError(f'observer velocity {self.velocity!r}: '
                              f'one of {", ".join(OBSERVERS)} expected')
+        if self.velocity == 'orbit' and self.site is not None:
+            raise ValueError('an observer in orbit has no site on the ground')
         unix_ns(self.epoch_utc)
 
     @property
@@ -169,12 +167,14 @@ def apparent_places(catalog: Catalog, rows: Ints, stamp_ns: ArrayLike,
                          'rows from 0 expected')
     counts = np.asarray(counts, np.int64)
     place = (catalog.ra[rows], catalog.dec[rows], catalog.pm_ra[rows], catalog.pm_dec[rows])
+    stamp_ns = np.asarray(stamp_ns, np.int64)
     day, fraction = tt_julian_date(stamp_ns)
     years = np.repeat(((day - _JD_J1991_25) + fraction) / erfa.DJY, counts)
     if observer.velocity == 'barycentre':
-        return np.asarray(erfa.pmpx(*place, 0.0, 0.0, years, np.zeros(3)))
+        u_i = erfa.pmpx(*place, 0.0, 0.0, years, np.zeros(3))
+        return _through_air(u_i, stamp_ns, counts, observer.site)
 
-    earth_heliocentric, earth_barycentric = _earth(stamp_ns)
+    earth_heliocentric, earth_barycentric = earth(stamp_ns)
     state = np.empty(len(day), erfa.dt_pv)
     state['p'], state['v'] = observer.geocentric_state(stamp_ns)
     frame = erfa.apcs(day, fraction, state, earth_barycentric, earth_heliocentric)
@@ -182,78 +182,11 @@ def apparent_places(catalog: Catalog, rows: Ints, stamp_ns: ArrayLike,
         np.repeat(frame[name], counts, axis=0) for name in ('eb', 'eh', 'em', 'v', 'bm1'))
     u_i = erfa.pmpx(*place, catalog.parallax_arcsec[rows], 0.0, years, from_barycentre)
     u_i = erfa.ldsun(u_i, from_sun, sun_distance_au)
-    return np.asarray(erfa.ab(u_i, v_over_c, sun_distance_au, inverse_gamma))
+    return _through_air(erfa.ab(u_i, v_over_c, sun_distance_au, inverse_gamma), stamp_ns, counts,
+                        observer.site)
 
 
-def _earth(stamp_ns: ArrayLike) -> tuple[Array, Array]:
-    """Return where the Earth is: from the Sun, (n, 3) [au], and its barycentric state, (n,).
-
-    The cubics that meet place and velocity of ``epv00`` every ten minutes, on a grid that does
-    not depend on the stamps; they keep it to 0.1 m and 0.1 mm/s.
-    """
-    node, rest_ns = np.divmod(tai_ns(stamp_ns) + _TT_MINUS_TAI_NS, _NODE_NS)
-    step = _NODE_NS / _DAY_NS
-    nodes, row = np.unique(node, return_inverse=True)
-    states = np.array([(_earth_at(each), _earth_at(each + 1)) for each in nodes.tolist()])
-    states = states.reshape(-1, 2, 2, 2, 3)[row]
-    (p_0, v_0), (p_1, v_1) = (np.moveaxis(states[:, k], 1, 0) for k in range(2))
-    s = (rest_ns / _NODE_NS)[:, None, None]
-    place = (p_0 + s * s * (3.0 - 2.0 * s) * (p_1 - p_0)
-             + s * (1.0 - s) * step * ((1.0 - s) * v_0 - s * v_1))
-    velocity = (6.0 * s * (1.0 - s) * (p_1 - p_0) / step
-                + (1.0 - s) * (1.0 - 3.0 * s) * v_0 + s * (3.0 * s - 2.0) * v_1)
-    barycentric = np.empty(len(node), erfa.dt_pv)
-    barycentric['p'], barycentric['v'] = place[:, 1], velocity[:, 1]
-    return place[:, 0], barycentric
-
-
-@lru_cache(maxsize=1024)
-def _earth_at(node: int) -> Array:
-    """Return place and velocity of the Earth at a node, (2, 2, 3) [au, au/d].
-
-    The second axis: from the Sun, from the barycentre.
-    """
-    day, rest_ns = divmod(node * _NODE_NS, _DAY_NS)
-    states = erfa.epv00(_JD_1970 + day, rest_ns / _DAY_NS)
-    return np.array([[state[name] for state in states] for name in ('p', 'v')])
-
-
-def tt_julian_date(stamp_ns: ArrayLike) -> tuple[Array, Array]:
-    """Return the Julian date in TT, in two parts to keep the nanoseconds.
-
-    Parameters
-    ----------
-    stamp_ns : (n,) int64 array
-        UTC since the Unix epoch [ns].
-
-    Returns
-    -------
-    day, fraction : (n,) float64 array
-        Julian date of the preceding midnight, and the part of the day since [d].
-    """
-    day, rest_ns = np.divmod(tai_ns(stamp_ns) + _TT_MINUS_TAI_NS, _DAY_NS)
-    return _JD_1970 + day, rest_ns / _DAY_NS
-
-
-def tai_ns(stamp_ns: ArrayLike) -> Ints:
-    """Return TAI since 1970-01-01 TAI of UTC stamps [ns]: a count without gaps or repetition.
-
-    Parameters
-    ----------
-    stamp_ns : (n,) int64 array
-        UTC since the Unix epoch [ns].
-    """
-    stamp_ns = np.asarray(stamp_ns, np.int64)
-    since_ns, tai_minus_utc_ns = _leap_seconds()
-    row = np.searchsorted(since_ns, stamp_ns, 'right') - 1
-    return stamp_ns + tai_minus_utc_ns[np.maximum(row, 0)]
-
-
-@cache
-def _leap_seconds() -> tuple[Ints, Ints]:
-    """Return when each TAI - UTC came into force, from 1972, and its value, both in ns."""
-    table = erfa.leap_seconds.get()
-    table = table[table['year'] >= 1972]
-    since_ns = [unix_ns(f'{year:04d}-{month:02d}-01')
-                for year, month in zip(table['year'], table['month'])]
-    return np.array(since_ns, np.int64), np.rint(1e9 * table['tai_utc']).astype(np.int64)
+def _through_air(u_i: Array, stamp_ns: Ints, counts: Ints, site: Site | None) -> Array:
+    if site is None:
+        return np.asarray(u_i)
+    return refracted(u_i, np.repeat(stamp_ns, counts), site)

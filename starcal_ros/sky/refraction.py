@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from starcal_ros.core.arrays import Array
-from starcal_ros.sky.apparent import tt_julian_date
+from starcal_ros.sky.time_scales import tt_julian_date
 
 LOWEST_DEG = 5.0
 """Altitude down to which refraction is known."""

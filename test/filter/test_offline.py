@@ -24,7 +24,7 @@ from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.simulation.write_recording import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT, simulate
-from starcal_ros.sky.apparent import tt_julian_date
+from starcal_ros.sky.time_scales import tt_julian_date
 
 SHORT = TAN2018.replace({'simulation.duration_s': 1092.0})      # twice through T18 Table 2
 WALK = TAN2018.gyro.arw_deg_sqrt_h * DEG / 60.0                 # rad/sqrt(s)

@@ -124,11 +124,14 @@ def test_a_camera_clock_has_the_zone_that_is_stated(tmp_path, capsys):
     words = ['intrinsics', str(case), '--fov', '25.7', '--site', '45.5,-122.7,50', '--out',
              str(out), '--overwrite']
     assert main([*words, '--utc-offset=-7']) in (0, 3, 4)
-    found = json.loads(out.read_text())
+    found, said = json.loads(out.read_text()), capsys.readouterr()
     assert abs(found['f_px'] - truth['f_px']) < 3.0 * truth['sigma']
-    assert 'taken as UTC' not in capsys.readouterr().err
+    assert 'taken as UTC' not in said.err and 'makes the fit worse' not in said.err
+    assert 'a clock at' not in said.out
     assert main(words) in (0, 3, 4)
-    assert 'is taken as UTC; --utc-offset states the zone' in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert 'is taken as UTC; --utc-offset states the zone' in said.err
+    assert 'the site makes the fit worse' in said.err and 'a clock at UTC-7 or UTC-6' in said.out
     assert json.loads(out.read_text())['fit_rms_px'] > 1.3 * found['fit_rms_px']
     assert main([*words, '--utc-offset', '25']) == 2
     assert '--utc-offset: got 25, needs -14 to 14 h' in capsys.readouterr().err

@@ -17,6 +17,7 @@ import pytest
 from scipy.stats import chi2
 
 from instruments import REAL_SKY
+from starcal_ros.calibration.residual_tests import AIR
 from starcal_ros.cli import main
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.identification import patterns
@@ -55,11 +56,13 @@ def test_rendered_images_give_the_true_camera(folder, tmp_path, capsys):
     assert sigma[0] < 0.2
     assert result['counts']['images'] == 9 and len(result['images']) == 12
     assert [image['split'] for image in result['images']] == 3 * ['fit', 'fit', 'fit', 'heldout']
-    assert result['images'][0]['utc'] == '2026-03-05T22:00:00.250000'
-    assert result['images'][1]['utc'] == EPOCH and result['left_out'] == {}
+    # What the user states, whatever the files say.
+    assert {image['utc'] for image in result['images']} == {EPOCH} and result['left_out'] == {}
     # Centroids weigh as their sigmas say: the residuals are those of images that took no part.
     assert result['heldout_rms_px'] == pytest.approx(result['fit_rms_px'], rel=0.25)
-    assert '11.png' in page.read_text() and 'held-out' in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert '11.png' in page.read_text() and 'held-out' in said.out
+    assert '--epoch takes the place of the times of 00.fits, 02.fits, ' in said.err
 
     again = tmp_path / 'again.json'
     assert main(['intrinsics', '--centroids', str(table), '--width', '640', '--height', '480',
@@ -74,6 +77,8 @@ def test_any_method_calibrates_and_the_field_may_be_unknown(folder, tmp_path):
                  '--out', str(out)]) == 0
     result = json.loads(out.read_text())
     assert abs(result['f_px'] - TRUE['f_px']) < 4.0 * result['sigma']['f_px'] < 2.0
+    assert result['images'][0]['utc'] == '2026-03-05T22:00:00.250000'
+    assert result['images'][1]['utc'] is None
 
 
 def test_a_folder_in_two_calls_is_the_camera_of_the_command(folder, tmp_path):
@@ -116,12 +121,15 @@ def test_mirrored_images_are_flipped_and_an_odd_one_is_left_out(folder, tmp_path
     assert '<section id="left-out">' in page.read_text()
 
 
-def horizontal(altitude_deg, count):
-    """Return directions of an altitude, all around, in i."""
+def horizontal(altitude_deg, count, rising=False):
+    """Return directions of an altitude, all around or only in the east, in i."""
     rng, stamp = np.random.default_rng(3), unix_ns(EPOCH)
     any_ = rng.standard_normal((20000, 3))
     any_ /= np.linalg.norm(any_, axis=1, keepdims=True)
     off = np.abs(np.degrees(altitude(any_, np.full(len(any_), stamp), SITE)) - altitude_deg)
+    if rising:
+        later = np.degrees(altitude(any_, np.full(len(any_), stamp + 2 * 3600 * 10**9), SITE))
+        off[later < altitude_deg + 10.0] = np.inf
     return any_[np.argsort(off)[:count]]
 
 
@@ -152,6 +160,32 @@ def test_refraction_biases_a_camera_that_does_not_know_of_it(tmp_path, capsys):
             units[0].header['DATE-OBS'] = '2026-03-06T10:10:00'
     assert main(['intrinsics', str(images), '--fov', FOV, '--site', '47,8.5']) == 2
     assert 'show stars below the horizon: site or times are wrong' in capsys.readouterr().err
+
+
+def test_a_clock_that_another_zone_fits_far_better_is_said(tmp_path, capsys):
+    """The camera's clock is two hours ahead; the files say that it is UTC."""
+    images, out = tmp_path / 'images', tmp_path / 'c.json'
+    eye = Camera(Observer('geocentre'), SITE)
+    images.mkdir()
+    for k, direction in enumerate(horizontal(15.0, 6, rising=True)):
+        save(images / f'{k}.fits', eye.towards(direction), '2026-03-06T00:10:00')
+    words = ['intrinsics', str(images), '--fov', FOV, '--site', '47,8.5,500', '--pressure', '950',
+             '--temperature', '5', '--overwrite', '--out', str(out)]
+    assert main(words) == 4
+    found, failed = json.loads(out.read_text()), ''
+    for each in found['consistency']:
+        if each['name'] == AIR and not each['passed']:
+            failed = each['fits']
+    assert 'UTC+2' in failed and 'as stated' in failed and '--utc-offset' in found['advice']
+    miss = abs(found['f_px'] - TRUE['f_px'])
+    assert miss < 4.0 * found['sigma']['f_px'] * np.sqrt(found['variance_factor']['f_px'])
+    capsys.readouterr()
+    assert main([*words, '--utc-offset', '2']) == 0
+    right, said = json.loads(out.read_text()), capsys.readouterr().err
+    assert right['images'][0]['utc'] == EPOCH and right['air']['doubt'] == ''
+    assert abs(errors(right)[0]) < 4.0 * right['sigma']['f_px'] < miss
+    assert AIR in {each['name'] for each in right['consistency'] if each['passed']}
+    assert '--utc-offset takes the place of the zone that 0.fits, ' in said
 
 
 def test_a_site_needs_times(folder, tmp_path, capsys):

@@ -1,11 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Still images taken through the air: their centroids freed of refraction.
-
-What refraction does to a centroid depends on attitude and camera, which are not known before.
-At those of a first calibration it is right to a per cent or so, since it is small and the errors
-of attitude and camera move it little; the next calibration then takes the rest away.
-"""
+"""Still images taken through the air: stars that are too low in it, or under the ground."""
 
 from __future__ import annotations
 
@@ -13,50 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from starcal_ros.calibration import bundle_start
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import camera
-from starcal_ros.core.arrays import Array, Mask
-from starcal_ros.measurements.samples import Frames, Stars
+from starcal_ros.core.arrays import Mask
+from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import StarDirections
-from starcal_ros.sky.refraction import LOWEST_DEG, Site, altitude, refracted
-
-
-def without_air(measured: Frames, stars: Stars, C_si: Array, intrinsics: Array,
-                pitch_mm: float, site: Site) -> Frames:
-    """Return frames with the centroids that they would have without air.
-
-    Parameters
-    ----------
-    measured : Frames
-        Centroids as measured, and the sigmas that count.
-    stars : Stars
-        The same stars, as far as they are freed of refraction by now.
-    C_si : (n, 3, 3) array
-        Attitudes that were fitted to `stars`, of each frame with stars enough.
-    intrinsics : (7,) array
-        The camera that was.
-    pitch_mm : float
-        Pixel pitch [mm].
-    site : Site
-        Where the images were taken.
-    """
-    usable = bundle_start.usable(measured, stars)
-    frame = measured.frame_index[usable]
-    u_i = stars.u_i[usable]
-    C = C_si[np.unique(frame, return_inverse=True)[1]]
-
-    def seen(places: Array) -> Array:
-        return camera.project((C @ places[..., None])[..., 0], intrinsics, pitch_mm)
-
-    uv = measured.uv_raster.copy()
-    uv[usable] -= seen(refracted(u_i, measured.stamp_ns[frame], site)) - seen(u_i)
-    return replace(measured, uv_raster=uv)
+from starcal_ros.sky.refraction import LOWEST_DEG, Site, altitude
 
 
 def without_low_stars(frames: Frames, scenario: Scenario, site: Site
                       ) -> tuple[Frames, Mask, int]:
     """Take the numbers from stars that are too low to know their refraction.
+
+    Parameters
+    ----------
+    frames : Frames
+    scenario : Scenario
+        Without a site of its own: it says where the stars are, not where they are seen.
+    site : Site
 
     Returns
     -------

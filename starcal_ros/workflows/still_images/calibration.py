@@ -7,9 +7,6 @@ is known of the camera but its number of pixels: it begins at a focal length fou
 distances of the stars, and its pixel pitch is `PITCH_MM` whatever it is in truth, for only ratios
 to it are told.
 
-Where the stars were seen through the air from a known site, each round of the calibration frees
-the centroids of the refraction at the attitudes and with the camera of the round before.
-
 Results are in OpenCV's forward model: f, u0, v0 in raster pixels, k1, k2, p1, p2 without unit.
 """
 
@@ -31,12 +28,12 @@ from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images import one_camera
-from starcal_ros.workflows.still_images.atmosphere import without_air
 from starcal_ros.workflows.still_images.one_camera import OwnCamera
 from starcal_ros.workflows.still_images.opencv_camera import IN_OURS, KEYS, from_estimate
 from starcal_ros.workflows.still_images.table import StillImages
@@ -50,7 +47,7 @@ to pixels of unknown gain are good to a half."""
 
 _SIGMA_PX = 0.1         # of a centroid without a sigma of its own, to begin with
 _LEAST_SIGMA_PX = 1e-4
-_ROUNDS, _ROUNDS_IN_AIR = 2, 4
+_ROUNDS = 2
 
 
 class Refit(NamedTuple):
@@ -117,6 +114,11 @@ class StillImageCamera:
     scatter: Array | None = None
     own_f_px: Array | None = None
 
+    def with_test(self, test: Statistic, factors: tuple[float, ...]) -> StillImageCamera:
+        """Return it with one more test, which multiplies the variances where it fails."""
+        found = Consistency((test,), None, factors).beside(self.verdict.consistency)
+        return replace(self, verdict=replace(self.verdict, consistency=found))
+
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON, the covariance in the order of KEYS."""
         values, covariance = from_estimate(self.estimate, self.scenario)
@@ -146,7 +148,7 @@ class StillImageCamera:
 
 
 def scenario_of(width: int, height: int, focal_length_px: float, method: str,
-                velocity: str = 'barycentre') -> Scenario:
+                velocity: str = 'barycentre', site: Site | None = None) -> Scenario:
     """Return a camera of which little is known, as a scenario.
 
     Parameters
@@ -159,9 +161,15 @@ def scenario_of(width: int, height: int, focal_length_px: float, method: str,
         Calibration method.
     velocity : str
         Whose velocity aberrates the stars; ``barycentre`` for no aberration.
+    site : Site, optional
+        Where the camera looks through the air.
     """
     f_mm = focal_length_px * PITCH_MM
+    through = {} if site is None else {
+        'site_deg': (site.latitude_deg, site.longitude_deg), 'site_height_m': site.height_m,
+        **dict(zip(('site_pressure_hpa', 'site_temperature_c'), site.air))}
     return from_flat({
+        **{f'observer.{name}': value for name, value in through.items()},
         'camera.width': width, 'camera.height': height, 'camera.pixel_pitch_mm': PITCH_MM,
         'camera.focal_length_mm': f_mm, 'observer.velocity': velocity,
         'star_tracker.centroid_sigma_px': _SIGMA_PX, 'intrinsics.method': method,
@@ -192,8 +200,7 @@ def focal_length_px(images: StillImages, width: int, height: int) -> float:
     return float(np.median(length[angle > 0.0] / angle[angle > 0.0]))
 
 
-def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
-              ) -> StillImageCamera | None:
+def calibrate(images: StillImages, scenario: Scenario) -> StillImageCamera | None:
     """Calibrate the camera of still images by the method ``intrinsics.method``.
 
     The size of the residuals is not known beforehand: the method runs again with what it was.
@@ -203,13 +210,10 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
     ----------
     images : StillImages
     scenario : Scenario
-        What is known of the camera, the method.
-    site : Site, optional
-        Where the images were taken, to free them of refraction.
+        What is known of the camera, the observer, the method.
     """
-    measured, result, stated = images.frames, None, 1.0
-    rounds = _ROUNDS if site is None else _ROUNDS_IN_AIR
-    for k in range(rounds):
+    measured, stated = images.frames, 1.0
+    for k in range(_ROUNDS):
         stars = StarDirections(scenario).of(images.frames)
         fitted = images.which(~images.heldout)
         method = calibration.begin(scenario)
@@ -220,7 +224,8 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
         fit = refit(images, stars, ~images.heldout, estimate, scenario)
         assert fit is not None          # or there would be no estimate
         adjusted = fit.adjusted
-        freedom = max(1, adjusted.freedom - int(np.count_nonzero(estimate.sigma)))
+        shared = np.count_nonzero(estimate.sigma) - (adjusted.own_f_mm is not None)
+        freedom = max(1, adjusted.freedom - int(shared))
         residual, given = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
         sigma = float(np.sqrt(np.sum(residual**2) / freedom))
         heldout = refit(images, stars, images.heldout, estimate, scenario)
@@ -232,7 +237,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
             heldout=heldout.stars if heldout else None)
         result = StillImageCamera(estimate, sigma, fit, heldout, scenario,
                                   _verdict(found, estimate, scenario))
-        if k == rounds - 1:
+        if k == _ROUNDS - 1:
             own = getattr(method, 'own_f_mm', None)
             return _between_images(replace(
                 result, own_f_px=None if own is None else own / PITCH_MM), fitted)
@@ -241,12 +246,7 @@ def calibrate(images: StillImages, scenario: Scenario, site: Site | None = None
         known = measured.sigma > 0.0
         measured = replace(measured, sigma=np.where(
             known, np.maximum(scale * measured.sigma, _LEAST_SIGMA_PX), 0.0))
-        freed = replace(images.frames, sigma=measured.sigma)
-        if site is not None and (every := refit(
-                images, stars, np.ones_like(images.heldout), estimate, scenario)) is not None:
-            freed = without_air(measured, stars, every.adjusted.C_si, estimate.intrinsics,
-                                scenario.camera.pixel_pitch_mm, site)
-        images = replace(images, frames=freed)
+        images = replace(images, frames=measured)
         scenario = scenario.replace({'star_tracker.centroid_sigma_px': max(
             scale * scenario.star_tracker.centroid_sigma_px, _LEAST_SIGMA_PX)})
     return None

@@ -13,7 +13,7 @@ reason: they are flipped, top to bottom, and so is the camera that is calibrated
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 import csv
 from dataclasses import dataclass
 from datetime import tzinfo
@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.files.output import whole
 from starcal_ros.sky.apparent import Observer
-from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images.measured import Measured, measure
 from starcal_ros.workflows.still_images.search import StarImage, StarSearch
 
@@ -100,8 +99,7 @@ class StarFolder(NamedTuple):
 
 def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | None,
          config: CentroidConfig = CentroidConfig(), observer: Observer = Observer('barycentre'),
-         site: Site | None = None, mask: NDArray[np.bool_] | None = None,
-         zone: tzinfo | None = None,
+         mask: NDArray[np.bool_] | None = None, zone: tzinfo | None = None,
          on_progress: Callable[[float], None] = lambda part: None) -> StarFolder:
     """Find the stars in the images of a folder.
 
@@ -112,17 +110,15 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     fov_deg : float or None
         Field of view across the width, as `search` has it; None where it is not known.
     epoch_utc : str or None
-        Time of images that do not tell it themselves, ISO 8601.
+        Time of the images, whatever the files say, ISO 8601.
     config : CentroidConfig
         How stars are measured; a saturation that it leaves open is that of the file's type.
     observer : Observer
-        Who looks, for images whose time is known.
-    site : Site, optional
-        Where they were taken, for the same.
+        Who looks, and from where, for images whose time is known.
     mask : (height, width) bool array, optional
         Pixels that are looked at.
     zone : tzinfo, optional
-        Of times that their file leaves without one.
+        Of the clock of the camera, whatever the files say.
     on_progress : callable
         Called with the part done, 0 to 1.
 
@@ -135,7 +131,7 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     ImportError
         Where tetra3rs is missing.
     """
-    search = StarSearch(fov_deg, epoch_utc, observer, site, zone)
+    search = StarSearch(fov_deg, epoch_utc, observer, zone)
     measured = measure(folder, config, mask, lambda part: on_progress(0.5 * part))
     left_out = dict(measured.left_out)
     if not measured.images:
@@ -144,7 +140,7 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
     found: dict[tuple[int, int], list[StarImage]] = {}
     shapes = {image.name: image.shape for image in measured.images}
     for stars in search.images(measured.images, lambda part: on_progress(0.5 + 0.5 * part)):
-        if site is not None and stars.stamp_ns is None:
+        if observer.site is not None and stars.stamp_ns is None:
             left_out[stars.name] = ('the site needs a time, which neither the file nor the epoch '
                                     'tells')
         else:
@@ -157,8 +153,20 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
         raise NoStarsError(f'{folder}: none of {count} images can be used ({search.looked_for}): '
                            f'{_reasons(left_out)}', measured.images, left_out)
     return StarFolder(tuple(sorted(cameras, key=lambda camera: -len(camera.images))),
-                      dict(sorted(left_out.items())), tuple(measured.notices),
+                      dict(sorted(left_out.items())),
+                      (*measured.notices, *_overridden(measured.images, epoch_utc, zone)),
                       tuple(measured.images))
+
+
+def _overridden(images: Sequence[Measured], epoch_utc: str | None, zone: tzinfo | None
+                ) -> Iterator[str]:
+    """Say where what the user states takes the place of what the files say."""
+    if epoch_utc is not None:
+        if told := [image.name for image in images if image.taken]:
+            yield f'--epoch takes the place of the times of {_listed(told)}'
+    elif zone is not None:
+        if told := [image.name for image in images if image.taken and image.taken.tzinfo]:
+            yield f'--utc-offset takes the place of the zone that {_listed(told)} state'
 
 
 def _by_focal_length(images: list[StarImage]) -> list[list[StarImage]]:

@@ -23,8 +23,8 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.results.result import CalibrationError
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import LOWEST_DEG, Site
-from starcal_ros.workflows.still_images import (atmosphere, calibration, folder as star_folder,
-                                                opencv_camera, table)
+from starcal_ros.workflows.still_images import (atmosphere, calibration, clock,
+                                                folder as star_folder, opencv_camera, table)
 from starcal_ros.workflows.still_images.calibration import StillImageCamera
 from starcal_ros.workflows.still_images.folder import StarImages
 from starcal_ros.workflows.still_images.measured import Measured, read_mask
@@ -48,13 +48,13 @@ class Conditions:
     fov_deg : float, optional
         Field of view across the width; found from the stars where it is not known.
     epoch_utc : str, optional
-        When, ISO 8601, for images that do not tell it themselves.
+        When, ISO 8601, whatever the files say.
     site : Site, optional
         Where: their centroids are freed of refraction.
     aberration : bool
         Whether the observer moves with the Earth; with a site always.
     zone : tzinfo, optional
-        Of times that their file leaves without one; UTC where it is not known.
+        Of the clock of the camera, whatever the files say; where neither tells it is UTC.
     """
 
     fov_deg: float | None = None
@@ -116,7 +116,7 @@ class Source:
     def scenario(self, method: str) -> Scenario:
         """Return what is known of the camera, for a method."""
         return calibration.scenario_of(self.width, self.height, self.focal_length_px, method,
-                                       self.conditions.velocity)
+                                       self.conditions.velocity, self.conditions.site)
 
 
 class Calibrated(NamedTuple):
@@ -163,7 +163,7 @@ def of_folder(folder: str | PathLike[str], conditions: Conditions = Conditions()
     """
     found = star_folder.read(folder, conditions.fov_deg, conditions.epoch_utc,
                              CentroidConfig(saturation_counts=saturation_counts),
-                             Observer(conditions.velocity), conditions.site,
+                             Observer(conditions.velocity, site=conditions.site),
                              None if mask is None else read_mask(mask), conditions.zone,
                              on_progress)
     first, *others = [_of_camera(fspath(folder), camera, conditions, heldout_every)
@@ -265,15 +265,20 @@ def calibrate(source: Source, method: str = 'bundle',
     """
     scenario = source.scenario(method).replace(dict(parameters or {}))
     method, site = scenario.intrinsics.method, source.conditions.site
-    found = calibration.calibrate(source.images, scenario, site)
+    found = calibration.calibrate(source.images, scenario)
     if found is None:
         raise CalibrationError(
             f'{source.name}: no camera from {len(source.images.names)} images with '
             f'{len(source.images.frames.catalog_id)} stars' + _UNFIT.get(method, ''))
+    air = None if site is None else clock.look(
+        source.images, scenario, _hours(source.conditions.zone), found.estimate.sigma)
+    if air is not None:
+        found = found.with_test(air.test, air.factors)
     outcome = {'method': method, 'source': source.name, **found.as_dict(), **source.details}
     if site is not None:
         outcome['air'] = {'site': [site.latitude_deg, site.longitude_deg, site.height_m],
-                          **dict(zip(('pressure_hpa', 'temperature_c'), site.air))}
+                          **dict(zip(('pressure_hpa', 'temperature_c'), site.air)),
+                          'doubt': air.doubt if air else ''}
     return Calibrated(found, outcome)
 
 
@@ -283,7 +288,8 @@ def _above_horizon(source: Source) -> Source:
     if site is None:
         return source
     frames, sunk, low = atmosphere.without_low_stars(
-        images.frames, source.scenario('bundle'), site)
+        images.frames, replace(source, conditions=replace(
+            source.conditions, site=None)).scenario('bundle'), site)
     if sunk.any():
         raise ConfigError(f'site: {sunk.sum()} of {len(sunk)} images, such as '
                           f'{images.names[int(sunk.argmax())]}, show stars below the horizon: '
@@ -291,6 +297,11 @@ def _above_horizon(source: Source) -> Source:
     notices = [f'{low} stars lower than {LOWEST_DEG:g} deg are left out'] if low else []
     return replace(source, images=replace(images, frames=frames),
                    notices=(*notices, *source.notices))
+
+
+def _hours(zone: tzinfo | None) -> float:
+    offset = None if zone is None else zone.utcoffset(None)
+    return 0.0 if offset is None else offset.total_seconds() / 3600.0
 
 
 def _utc(stamp: int | None) -> str | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import timezone, tzinfo
+from datetime import datetime, timezone, tzinfo
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from starcal_ros.imaging.centroids import Centroids
 from starcal_ros.imaging.spread import rank_in_cell
 from starcal_ros.sky import depth
 from starcal_ros.sky.apparent import Observer
-from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images import why_not
 from starcal_ros.workflows.still_images.measured import Measured
 
@@ -90,13 +89,11 @@ class StarSearch:
     fov_deg : float or None
         Field of view across the width, to FIELD_ERROR.
     epoch_utc : str or None
-        Time of images that do not tell it themselves, ISO 8601.
+        Time of the images, whatever the files say, ISO 8601.
     observer : Observer
-        Who looks, for images whose time is known.
-    site : Site, optional
-        Where they were taken, for the same.
+        Who looks, and from where, for images whose time is known.
     zone : tzinfo, optional
-        Of times that their file leaves without one.
+        Of the clock of the camera, whatever the files say.
 
     Raises
     ------
@@ -105,12 +102,12 @@ class StarSearch:
     """
 
     def __init__(self, fov_deg: float | None, epoch_utc: str | None, observer: Observer,
-                 site: Site | None, zone: tzinfo | None = None) -> None:
+                 zone: tzinfo | None = None) -> None:
         if fov_deg is not None and not 0.0 < fov_deg <= _WIDEST_DEG:
             raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
                               f'{_WIDEST_DEG:g}')
         self._stated = None if fov_deg is None else _about(fov_deg, FIELD_ERROR)
-        self._epoch_utc, self._observer, self._site = epoch_utc, observer, site
+        self._epoch_utc, self._observer = epoch_utc, observer
         self._identifiers: dict[tuple[tuple[int, int], Field], Identifier] = {}
         self._known: dict[tuple[int, int], list[float]] = {}
         self._zone = zone
@@ -189,13 +186,8 @@ class StarSearch:
             area = field[0] * field[1] * height / width
             self._identifiers[key] = Identifier(
                 CameraGuess.of_field(Detector(width, height, 1.0), *field), self._observer,
-                depth.limit_for(area), site=self._site)
-        stamp_ns = None if self._epoch_utc is None else unix_ns(self._epoch_utc)
-        if image.taken is not None:
-            taken = image.taken
-            zoned = taken if taken.tzinfo else taken.replace(tzinfo=self._zone or timezone.utc)
-            zoned = zoned.astimezone(timezone.utc)
-            stamp_ns = unix_ns(zoned.isoformat())
+                depth.limit_for(area))
+        stamp_ns = self._stamp_ns(image.taken)
         mirrored, uv = False, image.centroids.uv_raster
         try:
             found = _search(self._identifiers[key], image, uv, stamp_ns)
@@ -214,8 +206,18 @@ class StarSearch:
         return StarImage(
             image.name, uv[use], np.hypot(centroids.sigma[use], _LEAST_SIGMA_PX),
             found.catalog_id[use], len(uv), stamp_ns,
-            self._zone is not None or image.taken is None or image.taken.tzinfo is not None,
+            bool(self._zone or self._epoch_utc) or image.taken is None
+            or image.taken.tzinfo is not None,
             float(found.view.intrinsics[2]), mirrored)
+
+    def _stamp_ns(self, taken: datetime | None) -> int | None:
+        """Return when an image was taken: what the user states, or else its file."""
+        if self._epoch_utc is not None:
+            return unix_ns(self._epoch_utc)
+        if taken is None:
+            return None
+        zone = self._zone or taken.tzinfo or timezone.utc
+        return unix_ns(taken.replace(tzinfo=zone).astimezone(timezone.utc).isoformat())
 
 
 def _search(identifier: Identifier, image: Measured, uv: Array, stamp_ns: int | None
