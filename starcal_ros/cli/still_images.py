@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'still images, in a folder or in a table', 'The default of --method is bundle.')
     images.add_argument('--fov', metavar='DEG', type=float,
                         help='field of view across the width, for IMAGES to 10 %%; default: found '
-                        'from the file (EXIF, FITS), or from the stars (1.5 to 100 deg)')
+                        'from the file (EXIF, FITS), or from the stars (1 to 105 deg)')
     images.add_argument('--epoch', metavar='TIME',
                         help='when they were taken, ISO 8601, UTC, whatever their files say '
                         '(DATE-OBS of FITS, EXIF); where neither tells: 2020, for the proper '

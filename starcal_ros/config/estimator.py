@@ -25,10 +25,10 @@ class SigmaConfig:
     fixed_angles_arcsec: Annotated[float, Spec('Fixed angles', 'arcsec', _TINY, 1e6)]
     principal_point_px: Annotated[float, Spec('Principal point', 'px', _TINY, 1e4)]
     focal_length_mm: Annotated[float, Spec('Focal length', 'mm', _TINY, 1e4)]
-    k1: Annotated[float, Spec('Distortion k1', 'mm^-2', _TINY, 1.0)]
-    k2: Annotated[float, Spec('Distortion k2', 'mm^-4', _TINY, 1.0)]
-    p1: Annotated[float, Spec('Distortion p1', 'mm^-1', _TINY, 1.0)]
-    p2: Annotated[float, Spec('Distortion p2', 'mm^-1', _TINY, 1.0)]
+    k1: Annotated[float, Spec('Distortion k1', 'mm^-2', _TINY, 1e3)]
+    k2: Annotated[float, Spec('Distortion k2', 'mm^-4', _TINY, 1e6)]
+    p1: Annotated[float, Spec('Distortion p1', 'mm^-1', _TINY, 1e3)]
+    p2: Annotated[float, Spec('Distortion p2', 'mm^-1', _TINY, 1e3)]
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,27 @@ def test_a_wide_field_is_found_without_a_word(images):
     assert is_right(found, true) and found['counts']['images'] == 2
 
 
+@pytest.mark.parametrize('field_deg', [90.0, 100.0])
+def test_a_very_wide_field_is_found_without_a_word(images, field_deg):
+    true = {**TRUE, 'f_px': 320.0 / np.tan(np.radians(field_deg / 2.0)), 'k1': -0.02, 'k2': 0.0}
+    eye = Camera(true=true, least_cosine=0.3, zero_point_electrons_s=1e5)
+    for k in range(2):
+        save(images / f'{k}.png', eye.towards())
+    _, found = run(images)
+    assert is_right(found, true) and found['counts']['images'] == 2
+
+
+def test_a_field_of_which_nothing_is_known_may_be_too_narrow(images, monkeypatch, capsys):
+    monkeypatch.setattr(search, 'RARE_DEG', ((40.0, 55.0),))
+    rng = np.random.default_rng(1)
+    save(images / 'a.png', Camera().counts(rng.uniform(-230, 230, (40, 2)),
+                                           rng.uniform(2.0, 5.0, 40)))
+    assert run(images)[0] == 1
+    said = capsys.readouterr().err
+    assert 'match no stars of a field of 8 to 55 deg; is the field another one (--fov' in said
+    assert 'where the catalogue has fewer than 6 stars?' in said
+
+
 def test_a_field_without_stars_of_the_catalogue_is_said(images, capsys):
     rng = np.random.default_rng(1)
     sky = rng.normal(100.0, 5.0, (480, 640))

@@ -31,8 +31,12 @@ from starcal_ros.workflows.still_images.measured import Measured
 
 FIELD_DEG = (8.0, 40.0)
 """Fields of view across the width in which a camera of unknown field is looked for first."""
-RARE_DEG = ((40.0, 100.0), (3.5, 8.0), (1.5, 3.5))
-"""Those in which it is looked for then, while no image of its size is identified."""
+RARE_DEG = ((40.0, 55.0), (55.0, 70.0), (70.0, 85.0), (85.0, 94.0), (94.0, 105.0), (3.5, 8.0),
+            (1.5, 3.5), (0.95, 1.5))
+"""Those in which it is looked for then, while no image of its size is identified. The wider a
+field, the more the angles of a pattern depend on it: of 40 to 100 deg at once, 90 is not found."""
+RARE_IMAGES = 8
+"""Images of a size of which rare fields are tried, those of most spots."""
 FIELD_ERROR = 0.1
 """Part of itself by which a stated field of view may be wrong."""
 
@@ -117,7 +121,8 @@ class StarSearch:
     @property
     def looked_for(self) -> str:
         """Which fields were."""
-        low, high = self._stated or (RARE_DEG[-1][0], RARE_DEG[0][1])
+        low, high = self._stated or (min(low for low, _ in (FIELD_DEG, *RARE_DEG)),
+                                     max(high for _, high in (FIELD_DEG, *RARE_DEG)))
         return f'field of {low:g} to {high:g} deg looked for'
 
     def images(self, measured: Sequence[Measured], on_progress: Callable[[float], None]
@@ -136,8 +141,9 @@ class StarSearch:
         for shape in {image.shape for image in measured}:
             missing = [image for image in measured
                        if image.shape == shape and image.name not in found]
+            promising = sorted(missing, key=lambda image: -len(image.centroids.flux))
             for field in RARE_DEG if self._stated is None else ():
-                for image in missing if shape not in self._known else ():
+                for image in promising[:RARE_IMAGES] if shape not in self._known else ():
                     self._try(image, [field], found)
             for image in missing:
                 if image.name not in found:

@@ -67,5 +67,7 @@ def after(image: Measured, field_deg: tuple[float, float], is_stated: bool) -> s
         said.append(f'too narrow for the catalogue: such a field holds {depth.stars_in(area):.1f} '
                     f'of its stars; it would have to reach magnitude {depth.needed(area):.0f}')
     elif not is_stated:
-        said.append('is the field another one? --fov states it')
+        least = np.sqrt(depth.LEAST / depth.stars_in(1.0) * image.shape[1] / image.shape[0])
+        said.append('is the field another one (--fov states it), or narrower than '
+                    f'{least:.1f} deg, where the catalogue has fewer than {depth.LEAST} stars?')
     return '; '.join(said)
