@@ -31,13 +31,13 @@ test: .venv/installed browser
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile --ignore test/nodes test
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest test/nodes
 
-# A browser that the report is tested in; without one those tests are skipped.
+# A browser that the pages are tested in; without one those tests are skipped.
 browser:
 	@command -v chromium >/dev/null || [ "$$(id -u)" != 0 ] || { \
-	    echo 'Installing chromium, to test the report in'; \
+	    echo 'Installing chromium, to test the pages in'; \
 	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
 	        apt-get install -y -qq chromium >/dev/null; } || \
-	    echo 'No chromium: the report is not tested in a browser' >&2
+	    echo 'No chromium: the pages are not tested in a browser' >&2
 
 lint: .venv/installed
 	.venv/bin/pytest test/test_style.py

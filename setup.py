@@ -22,6 +22,7 @@ COMMANDS = {
     'recorder': 'starcal_ros.nodes.programs:recorder',
     'player': 'starcal_ros.nodes.programs:player',
     'watch': 'starcal_ros.nodes.programs:watch',
+    'serve': 'starcal_ros.nodes.programs:serve',
     'composed': 'starcal_ros.nodes.programs:composed',
 }
 DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
@@ -108,12 +109,15 @@ setup(
         'allan': ['allantools>=2024.6'],
         # Completion in a shell: eval "$(register-python-argcomplete starcal)".
         'completion': ['argcomplete>=3.1'],
+        # A page for browsers: starcal serve.
+        'serve': ['aiohttp>=3.9'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
         # The documentation: make docs.
         'docs': DOCS,
         # colcon runs the tests only where this extra exists and names pytest.
         'test': [
+            'aiohttp>=3.9',
             'allantools>=2024.6',
             'argcomplete>=3.1',
             'colcon-common-extensions',

@@ -43,6 +43,7 @@ Each imports itself and those before it in this table (``WINGS`` in ``test/test_
     evaluation      how good the estimates are: Cramér-Rao bound, consistency, Monte Carlo
     reproduction    the tables and figures of the papers, beside ours
     report          what a person reads: tables, figures, the page of a calibration
+    live            a calibration while it goes on: in the terminal, on a page for browsers
     nodes           the ROS 2 nodes, one a file; `base` has what they share
     cli             the command ``starcal``, one sub-command a file
 

@@ -15,11 +15,11 @@ TOP = Path(__file__).parents[1]
 PACKAGE = TOP / 'starcal_ros'
 WINGS = ('core', 'files', 'sky', 'config', 'measurements', 'filter', 'imaging', 'identification',
          'calibration', 'messages', 'recording', 'checks', 'results', 'workflows', 'simulation',
-         'evaluation', 'reproduction', 'report', 'nodes.base', 'nodes', 'cli')
+         'evaluation', 'reproduction', 'report', 'live', 'nodes.base', 'nodes', 'cli')
 """Each imports itself and those before it. What estimates stands before the truth."""
 ONLY = {'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srvs': 'nodes',
         '_interfaces': 'nodes', 'mcap': 'recording', 'rosbags': 'recording',
-        'matplotlib': 'report', 'plotly': 'report', 'numba': 'filter'}
+        'matplotlib': 'report', 'plotly': 'report', 'numba': 'filter', 'aiohttp': 'live'}
 """Endings of the names of libraries that one wing alone imports."""
 DISTRIBUTIONS = {'PIL': 'pillow', 'erfa': 'pyerfa', 'yaml': 'pyyaml'}
 """Names on PyPI of the libraries that are imported by another one."""

@@ -35,6 +35,7 @@ COMMANDS = {
     'reproduce': "compare with a paper's table or figure",
     'play': 'publish a recording again over ROS 2',
     'watch': 'watch the running estimator',
+    'serve': 'show a calibration on a page for browsers',
     'info': 'tell what a recording holds',
     'recover': 'finish a recording whose recorder was killed',
 }

@@ -43,6 +43,13 @@ def completed_by(action: argparse.Action, names: Callable[[], Iterable[str]]) ->
     setattr(action, 'completer', lambda **_: names())
 
 
+def port(text: str) -> int:
+    """Return the number of a port, as the type of an argument."""
+    if not (text.isascii() and text.isdigit() and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f'invalid port: {text!r}; 0 to 65535')
+    return int(text)
+
+
 def add_topics(parser: argparse.ArgumentParser, images: bool = True) -> None:
     """Add the options that choose topics of a recording, for `topics`."""
     add_gyro_topic(parser)

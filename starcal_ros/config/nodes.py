@@ -47,6 +47,15 @@ class RecorderConfig:
 
 
 @dataclass(frozen=True)
+class ServeConfig:
+    """The node that serves a page."""
+
+    host: Annotated[str, Spec(
+        'Address to listen on; 0.0.0.0 is open to everybody on the network')] = '127.0.0.1'
+    port: Annotated[int, Spec('Port to listen on; 0 is any that is free', '', 0, 65535)] = 8806
+
+
+@dataclass(frozen=True)
 class PlayerConfig:
     """The player node."""
 

@@ -31,7 +31,7 @@ from starcal_ros.config.instrument import (CameraConfig, GyroConfig, MotionConfi
                                            ObserverConfig, StarTrackerConfig)
 from starcal_ros.config.intrinsics import IntrinsicsConfig
 from starcal_ros.config.nodes import (CentroidExtractorConfig, PlayerConfig, RecorderConfig,
-                                      StarIdentifierConfig)
+                                      ServeConfig, StarIdentifierConfig)
 from starcal_ros.config.parameter import ConfigError, Parameter, Spec, declared
 from starcal_ros.config.truth import TruthConfig, default_truth, sources
 from starcal_ros.core.utc import unix_ns
@@ -85,6 +85,7 @@ class Scenario:
     star_identifier: StarIdentifierConfig = field(default_factory=StarIdentifierConfig)
     recorder: RecorderConfig = field(default_factory=RecorderConfig)
     player: PlayerConfig = field(default_factory=PlayerConfig)
+    serve: ServeConfig = field(default_factory=ServeConfig)
 
     def __post_init__(self) -> None:
         errors = [text for key, parameter in parameters().items()

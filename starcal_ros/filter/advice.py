@@ -13,6 +13,7 @@ Which motion it is hardly depends on the noise that is assumed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,8 @@ WORTH = 0.9
 FRAMES = 'more frames are needed'
 """Advice where no motion is worth more than the present one."""
 
+_ROTATE = 'rotate about '
+_AXIS = re.compile(_ROTATE + '(-?[XYZ])')
 _LENGTH_S = 60.0        # of a motion
 _LOOKS = 6              # times that the stars are looked at on the way
 _LOOK_PX = 0.02         # sigma of a centroid of a look: some six frames of 0.05 px
@@ -100,7 +103,7 @@ def motions(rate: Array, least: float) -> list[Manoeuvre]:
     least : float
         What counts as a rest.
     """
-    turns = [Manoeuvre(f'rotate about {sign}{axis}', (-RATE if sign else RATE) * along)
+    turns = [Manoeuvre(f'{_ROTATE}{sign}{axis}', (-RATE if sign else RATE) * along)
              for sign in ('', '-') for axis, along in zip('XYZ', np.eye(3))]
     if not np.linalg.norm(rate) > least:
         return [Manoeuvre(FRAMES, np.zeros(3)), *turns]
@@ -108,6 +111,12 @@ def motions(rate: Array, least: float) -> list[Manoeuvre]:
               ('rotate half as fast', 0.5))
     return [Manoeuvre(FRAMES, rate), Manoeuvre('stop the rotation', np.zeros(3)), *turns[:3],
             *(Manoeuvre(text, factor * rate) for text, factor in others), *turns[3:]]
+
+
+def advised_axis(text: str) -> str:
+    """Return the axis of g about which an advice says to rotate, as 'Y' or '-Y'; '' of none."""
+    found = _AXIS.search(text)
+    return found[1] if found else ''
 
 
 def sigmas(filter_: Filter, belief: Belief, rates: Array) -> Array:

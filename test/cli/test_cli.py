@@ -291,7 +291,8 @@ def test_info_lists_the_topics_with_types_and_counts(starcal, bag):
     assert str(bag) in done.out.replace('\n', '')
 
 
-QUIET = {'simulate', 'play', 'watch', 'config'}     # they make or show something, or have parts
+# They make or show something, or have parts.
+QUIET = {'simulate', 'play', 'watch', 'serve', 'config'}
 
 
 def test_every_command_that_reports_gives_json(starcal):

@@ -16,8 +16,8 @@ from starcal_ros.filter import verdict  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.filter.progress import Progress  # noqa: E402
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT  # noqa: E402
+from starcal_ros.live.heard import Seen  # noqa: E402
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics  # noqa: E402
-from starcal_ros.report.watch import tolerances  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 
 SCENARIO = TAN2018.replace(
@@ -54,7 +54,7 @@ def test_sigmas_units_and_tolerances_are_those_of_the_states(values, calibrator)
     assert tuple(values[f'unit_{name}'] for name in STATE_NAMES) == STATE_UNITS
     expected = np.full(len(STATE_NAMES), np.nan)
     expected[CALIBRATED] = calibrator.filter.tolerance / UNIT[CALIBRATED]
-    np.testing.assert_allclose(tolerances(values), expected, rtol=1e-5)
+    np.testing.assert_allclose(Seen(values=values).tolerances(), expected, rtol=1e-5)
 
 
 def test_advice_and_time_to_go_are_those_of_the_verdict(values, calibrator):

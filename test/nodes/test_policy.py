@@ -82,7 +82,8 @@ def graph(tmp_path):
     config.write_text('/**:\n  ros__parameters:\n'
                       f'    recorder: {{output: {tmp_path / "run.mcap"}}}\n'
                       f'    player: {{bag: {bag}}}\n'
-                      '    simulation: {real_time_factor: 1.0}\n')
+                      '    simulation: {real_time_factor: 1.0}\n'
+                      '    serve: {port: 0}\n')
     together = node_command('composed', {'use_sim_time': True}, config)
     together[4:4] = [name for name in NODES if name != 'player']
     images = node_command('star_tracker_sim', {'use_sim_time': True, 'simulation.images': True},

@@ -20,8 +20,9 @@ from starcal_ros import cli
 from starcal_ros.config import parameter_file
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import N_STATES, STATE_NAMES
+from starcal_ros.live.heard import STATE_SIZE, Seen
+from starcal_ros.live.terminal import render, star_map
 from starcal_ros.messages import conventions
-from starcal_ros.report.watch import STATE_SIZE, Seen, render, star_map, tolerances
 from starcal_ros.simulation import sensors
 from starcal_ros.workflows import node_program
 
@@ -203,7 +204,8 @@ def test_late_watch_shows_tolerances_verdict_counts_and_stars(shown):
 
 
 def test_tolerances_are_those_of_the_diagnostics():
-    found = tolerances({'sigma_f': '1e-05', 'tolerance_f': '0.0002', 'sigma_phi_x': '3'})
+    found = Seen(values={'sigma_f': '1e-05', 'tolerance_f': '0.0002',
+                         'sigma_phi_x': '3'}).tolerances()
     assert found[STATE_NAMES.index('f')] == 2e-4
     assert np.isnan(found).sum() == N_STATES - 1
 
