@@ -21,6 +21,7 @@ COMMANDS = {
     'star_identifier': 'starcal_ros.nodes.programs:star_identifier',
     'recorder': 'starcal_ros.nodes.programs:recorder',
     'player': 'starcal_ros.nodes.programs:player',
+    'display': 'starcal_ros.nodes.programs:display',
     'watch': 'starcal_ros.nodes.programs:watch',
     'serve': 'starcal_ros.nodes.programs:serve',
     'composed': 'starcal_ros.nodes.programs:composed',

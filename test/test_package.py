@@ -21,7 +21,8 @@ TOP = Path(__file__).parents[1]
 PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'LICENSE',
          'bin', 'resource', 'config', 'launch', 'starcal_ros']
 EXECUTABLES = ['starcal', 'star_tracker_sim', 'gyro_sim', 'estimator', 'intrinsics_estimator',
-               'centroid_extractor', 'star_identifier', 'recorder', 'player', 'serve', 'watch',
+               'centroid_extractor', 'star_identifier', 'recorder', 'player', 'serve', 'display',
+               'watch',
                'composed']
 LAUNCH_FILES = sorted((TOP / 'launch').glob('*.launch.py'))
 MARKER = 'share/ament_index/resource_index/packages/starcal_ros'

@@ -13,14 +13,16 @@ import yaml
 
 from instruments import TAN2018, TOP
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.filter.states import N_STATES, STATE_NAMES
+from starcal_ros.filter.states import CALIBRATED, N_STATES, STATE_NAMES
+from starcal_ros.live.display import LAYOUT
 from starcal_ros.messages import topics
-from starcal_ros.messages.conventions import GYRO_FRAME, STATE_LAYOUT
+from starcal_ros.messages.conventions import CALIBRATED_FRAME, GYRO_FRAME, STATE_LAYOUT
 from starcal_ros.recording.writer import typestore
 
 VIEWERS = TOP / 'config' / 'viewers'
 TOPICS = {'/' + topic.name.lstrip('/'): topic for topic in topics.TOPICS}
-RVIZ_TYPES = {'PoseWithCovariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+RVIZ_TYPES = {'MarkerArray': topics.MARKERS.type_name,
+              'PoseWithCovariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
               'Image': 'sensor_msgs/msg/Image'}
 COVARIANCE = 1 + N_STATES       # its first element in the data of starcal/state
 
@@ -73,6 +75,8 @@ def paths(layout):
     """Return topic, field, function and panel title of each path of a layout."""
     for panel in layout['configById'].values():
         for path in panel.get('paths', []):
+            if re.fullmatch(r'[\d.]+', path['value']):     # a line at a number
+                continue
             plain = re.sub(r'\[:\]\{.*\}', '[0]', path['value'])       # one that is picked
             topic, field, function = re.fullmatch(
                 r'(/[\w/]+)\.([\w.\[\]]+?)(?:\.@(\w+))?', plain).groups()
@@ -86,6 +90,56 @@ def test_foxglove_layout_shows_each_of_its_panels_once(foxglove):
         assert node['direction'] in ('row', 'column') and 0 < node['splitPercentage'] < 100
         return leaves(node['first']) + leaves(node['second'])
     assert sorted(leaves(foxglove['layout'])) == sorted(foxglove['configById'])
+
+
+@pytest.fixture(scope='module')
+def schema():
+    return json.loads((TOP / 'test' / 'foxglove_layout.schema.json').read_text())
+
+
+def test_foxglove_layout_is_what_its_panels_take(foxglove, schema):
+    jsonschema = pytest.importorskip('jsonschema')
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(foxglove, schema)
+
+
+@pytest.mark.parametrize('spoil', [
+    lambda panels: panels['Plot!rate']['paths'][0].pop('enabled'),
+    lambda panels: panels['Plot!rate'].update(xAxisVal='time'),
+    lambda panels: panels['Plot!rate'].update(minY=0),
+    lambda panels: panels['Image!stars']['imageMode'].update(image='/star_tracker/image_raw'),
+    lambda panels: panels['3D!stars']['cameraState'].update(target=[0, 0]),
+    lambda panels: panels['3D!stars'].update(topics=['/starcal/display/markers']),
+    lambda panels: panels['DiagnosticStatusPanel!verdict'].pop('topicToRender'),
+    lambda panels: panels.update({'Plots!rate': {}})])
+def test_what_a_foxglove_panel_does_not_take_is_found(foxglove, schema, spoil):
+    jsonschema = pytest.importorskip('jsonschema')
+    spoilt = json.loads(json.dumps(foxglove))
+    spoil(spoilt['configById'])
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(spoilt, schema)
+
+
+def test_foxglove_draws_topics_of_the_types_that_its_panels_draw(foxglove):
+    image, scene = (foxglove['configById'][name] for name in ('Image!stars', '3D!stars'))
+    mode = image['imageMode']
+    assert TOPICS[mode['imageTopic']] == topics.IMAGES
+    assert TOPICS[mode['calibrationTopic']] == topics.CAMERA
+    assert [TOPICS[name] for name in mode['annotations']] == [topics.ANNOTATIONS]
+    assert [TOPICS[name] for name in scene['topics']] == [topics.MARKERS]
+    assert scene['followTf'] == CALIBRATED_FRAME
+
+
+def test_foxglove_plots_of_values_are_what_their_labels_say(foxglove):
+    names = [f'{words[0]} {name}' if size > 2 else name for words, size in (
+        (label.split(), size) for label, size in LAYOUT)
+             for name in (words[1:] if size > 2 else words)]
+    shown = {}
+    for topic, field, _, label, _ in paths(foxglove):
+        if TOPICS[topic] == topics.VALUES:
+            shown[label] = names[int(re.fullmatch(r'data\[(\d+)\]', field)[1])]
+    assert shown == {'verdict': 'verdict', 'failing_tests': 'failing_tests', **{
+        name: f'sigma_over_tolerance {name}' for name in STATE_NAMES[CALIBRATED]}}
 
 
 def test_foxglove_paths_are_fields_of_topics(foxglove):

@@ -36,6 +36,7 @@ COMMANDS = {
     'play': 'publish a recording again over ROS 2',
     'watch': 'watch the running estimator',
     'serve': 'show a calibration on a page for browsers',
+    'display': 'write what other viewers draw of a recording',
     'info': 'tell what a recording holds',
     'recover': 'finish a recording whose recorder was killed',
 }

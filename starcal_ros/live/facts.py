@@ -83,8 +83,7 @@ def states(seen: Seen) -> list[StateFact]:
     if seen.state is None:
         return []
     estimate = seen.state[1:1 + N_STATES] / _SHOWN_UNIT
-    covariance = seen.state[1 + N_STATES:].reshape(N_STATES, N_STATES)
-    sigma = np.sqrt(np.diag(covariance)) / UNIT
+    sigma = seen.sigma / UNIT
     return [StateFact(name, Row(label, unit, np.nan, value, np.nan, each), tolerance)
             for name, label, unit, value, each, tolerance in zip(
                 STATE_NAMES, _LABELS, _UNITS, estimate.tolist(), sigma.tolist(),

@@ -40,7 +40,7 @@ def finished(path: Path) -> Seen:
             [stored.stamp_ns * 1e-9], rotation.log(C_ig), stored.bias,
             rotation.to_fixed_angles(stored.C_sg), stored.intrinsics,
             np.array(found['covariance'], np.float64).ravel()))
-        seen = Seen(state, None, None, 2 if stored.verdict in (INCONSISTENT, LOST) else 0,
+        seen = Seen(state, level=2 if stored.verdict in (INCONSISTENT, LOST) else 0,
                     values=_values(found), silent_s=0.0)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise CalibrationError(f'{path}: is no result of a calibration: '

@@ -40,8 +40,12 @@ class Seen:
         Data of ``starcal/state``.
     stars : structured (n,) array, optional
         ``starcal/residuals``, with STAR_FIELDS.
+    stars_ns : int
+        The stamp of their frame.
     size : (int, int), optional
         Width and height of the detector [px].
+    pinhole : (float, float, float), optional
+        Focal length and principal point, raster u and v, of the calibrated camera [px].
     level : int
         Of the diagnostics: 0 OK, 1 warning, 2 error, 3 stale.
     message : str
@@ -58,7 +62,9 @@ class Seen:
 
     state: Array | None = None
     stars: NDArray[np.void] | None = None
+    stars_ns: int = 0
     size: tuple[int, int] | None = None
+    pinhole: tuple[float, float, float] | None = None
     level: int = 3
     message: str = ''
     values: Mapping[str, str] = field(default_factory=dict)
@@ -69,6 +75,12 @@ class Seen:
     def take(self, topic: topics.Topic, message: Any) -> bool:
         """Take a message of one of `TOPICS`; return whether it is a verdict."""
         return bool(_TAKE[topic](self, message))
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the 16 states, in the filter's units; there must be a state."""
+        assert self.state is not None
+        return np.sqrt(self.state[1 + N_STATES::N_STATES + 1])
 
     def tolerances(self) -> list[float]:
         """Return the tolerance of each state, NaN where there is none."""
@@ -108,10 +120,13 @@ def _take_stars(seen: Seen, message: Any) -> None:
     if {*STAR_FIELDS} <= {item.name for item in message.fields} and all(
             item.datatype in _KINDS for item in message.fields):
         seen.stars = points(message)
+        seen.stars_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def _take_camera(seen: Seen, message: Any) -> None:
     seen.size = message.width, message.height
+    f, _, cu, _, _, cv, *_ = (float(value) for value in message.k)
+    seen.pinhole = (f, cu, cv) if f > 0.0 else None
 
 
 def _take_diagnostics(seen: Seen, message: Any) -> bool:

@@ -24,18 +24,30 @@ from starcal_ros.recording.mcap_chunks import LATEST
 from starcal_ros.recording.writer import typestore
 
 MOST = 500
-"""Moments of a recording that are kept."""
+"""Moments of a recording that are kept, unless all are asked for."""
 
 
 class Moment(NamedTuple):
-    """What had been heard by a time."""
+    """What had been heard by a time.
+
+    Attributes
+    ----------
+    stamp_ns, log_ns : int
+        Of the state: of which frame it is, and when it was recorded.
+    prefix : str
+        Namespace of the estimator, as in '/left'; '' of none.
+    seen : Seen
+    """
 
     stamp_ns: int
+    log_ns: int
+    prefix: str
     seen: Seen
 
 
 def moments(path: Path, namespace: str | None = None,
-            on_progress: Callable[[float], None] = lambda part: None) -> Iterator[Moment]:
+            on_progress: Callable[[float], None] = lambda part: None, most: int | None = None
+            ) -> Iterator[Moment]:
     """Yield what a recording says of a calibration, in the order of time; never nothing.
 
     Parameters
@@ -46,6 +58,8 @@ def moments(path: Path, namespace: str | None = None,
         Of the estimator, where there are several.
     on_progress : callable, optional
         Called with the part that has been read, 0 to 1.
+    most : int, optional
+        How many moments at most, evenly spread; MOST by default.
 
     Raises
     ------
@@ -55,7 +69,9 @@ def moments(path: Path, namespace: str | None = None,
     bag = open_bag(path)
     prefix = _prefix([topic.name for topic in bag.topics()], path, namespace)
     named = {prefix + topic.recorded: topic for topic in TOPICS}
-    ends = _ends(np.sort(bag.log_times(prefix + topics.STATE.recorded)), path)
+    state = prefix + topics.STATE.recorded
+    ends = _ends(np.sort(bag.log_times(state)), MOST if most is None else most, path)
+    log_ns = 0
     seen, newest, waiting = Seen(silent_s=0.0), dict[str, bytes](), list[tuple[int, str, bytes]]()
     for stretch in bag.in_order(named):
         for name, log_time, messages in stretch.messages:
@@ -68,11 +84,12 @@ def moments(path: Path, namespace: str | None = None,
             done += 1
             while time_ns >= ends[0]:
                 ends.pop(0)
-                yield _moment(seen, named, newest, path)
+                yield Moment(_take(seen, named, newest, path), log_ns, prefix, copy(seen))
             newest[name] = data
+            log_ns = time_ns if name == state else log_ns
         del waiting[:done]
         on_progress(stretch.done)
-    yield _moment(seen, named, newest, path)
+    yield Moment(_take(seen, named, newest, path), log_ns, prefix, copy(seen))
 
 
 def _prefix(names: list[str], path: Path, namespace: str | None) -> str:
@@ -95,11 +112,11 @@ def _prefix(names: list[str], path: Path, namespace: str | None) -> str:
     return found[0]
 
 
-def _ends(frames_ns: Ints, path: Path) -> list[int]:
+def _ends(frames_ns: Ints, most: int, path: Path) -> list[int]:
     """Return before which times the moments end: each with the next frame, the last never."""
     if not len(frames_ns):
         raise RecordError(f'{path} has no result of an estimator: no frame gave an attitude')
-    k = np.unique(np.linspace(0, len(frames_ns) - 1, MOST).astype(int))
+    k = np.unique(np.linspace(0, len(frames_ns) - 1, min(most, len(frames_ns))).astype(int))
     ends: list[int] = [*frames_ns, LATEST][1:]
     return [int(ends[each]) for each in k]
 
@@ -110,9 +127,9 @@ def _each(messages: Messages) -> Iterator[bytes]:
         yield bytes(whole[start:start + size])
 
 
-def _moment(seen: Seen, named: dict[str, topics.Topic], newest: dict[str, bytes], path: Path
-            ) -> Moment:
-    """Return what has been heard once the newest messages of each topic are."""
+def _take(seen: Seen, named: dict[str, topics.Topic], newest: dict[str, bytes], path: Path
+          ) -> int:
+    """Hear the newest messages of each topic, and return the stamp of the state."""
     for name, data in newest.items():
         topic = named[name]
         try:
@@ -121,5 +138,4 @@ def _moment(seen: Seen, named: dict[str, topics.Topic], newest: dict[str, bytes]
             raise RecordError(f'{path}: a message of {name} cannot be read: '
                               f'{type(error).__name__} {error}') from None
     newest.clear()
-    stamp_ns = 0 if seen.state is None else round(float(seen.state[0]) * 1e9)
-    return Moment(stamp_ns, copy(seen))
+    return 0 if seen.state is None else round(float(seen.state[0]) * 1e9)

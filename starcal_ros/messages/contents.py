@@ -175,9 +175,11 @@ class Contents:
         return self._types.named(type_name)(**fields)
 
     def _header(self, stamp_ns: int, frame_id: str) -> Any:
+        return self._new('std_msgs/msg/Header', frame_id=frame_id, stamp=self._stamp(stamp_ns))
+
+    def _stamp(self, stamp_ns: int) -> Any:
         sec, nanosec = divmod(stamp_ns, 10**9)
-        return self._new('std_msgs/msg/Header', frame_id=frame_id, stamp=self._new(
-            'builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec))
+        return self._new('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
 
     def _vector(self, values: Array) -> Any:
         return self._new('geometry_msgs/msg/Vector3', **dict(zip('xyz', values.tolist())))

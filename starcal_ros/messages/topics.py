@@ -19,7 +19,7 @@ class Topic(NamedTuple):
     latched : bool
         Whether who comes late gets the last message.
     result : bool
-        Whether an estimator publishes it.
+        Whether it is of an estimator, or made of what one publishes.
     """
 
     name: str
@@ -55,6 +55,12 @@ MOUNTING = Topic('starcal/mounting', 'geometry_msgs/msg/PoseWithCovarianceStampe
                  latched=True, result=True)
 RESIDUALS = Topic('starcal/residuals', 'sensor_msgs/msg/PointCloud2', latched=True, result=True)
 TRANSFORM = Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True, result=True)
+MARKERS = Topic('starcal/display/markers', 'visualization_msgs/msg/MarkerArray', latched=True,
+                result=True)
+ANNOTATIONS = Topic('starcal/display/annotations', 'foxglove_msgs/msg/ImageAnnotations',
+                    latched=True, result=True)
+VALUES = Topic('starcal/display/values', 'std_msgs/msg/Float64MultiArray', latched=True,
+               result=True)
 INTRINSICS_CAMERA = Topic('starcal/intrinsics/camera_info', 'sensor_msgs/msg/CameraInfo',
                           latched=True, result=True)
 INTRINSICS_STATE = Topic('starcal/intrinsics/state', 'std_msgs/msg/Float64MultiArray',
@@ -63,6 +69,7 @@ DIAGNOSTICS = Topic('diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', result
 
 TOPICS = (IMU, CENTROIDS, NOMINAL_CAMERA, IMAGES, SPOTS, TRUE_CENTROIDS, TRUE_ATTITUDE,
           TRUE_PARAMETERS, ATTITUDE, CAMERA, GYRO_BIAS, MOUNTING, STATE, RESIDUALS,
-          INTRINSICS_CAMERA, INTRINSICS_STATE, DIAGNOSTICS, TRANSFORM)
+          INTRINSICS_CAMERA, INTRINSICS_STATE, DIAGNOSTICS, MARKERS, ANNOTATIONS, VALUES,
+          TRANSFORM)
 STARS = (CENTROIDS, SPOTS, IMAGES)
 """What star trackers deliver: each is made of the next where it is not there."""

@@ -15,8 +15,8 @@ from rclpy.node import Node
 
 from starcal_ros.nodes.base import command_line, run_loop
 
-NODES = ('recorder', 'watch', 'serve', 'estimator', 'intrinsics_estimator', 'star_identifier',
-         'centroid_extractor', 'player', 'star_tracker_sim', 'gyro_sim')
+NODES = ('recorder', 'watch', 'serve', 'display', 'estimator', 'intrinsics_estimator',
+         'star_identifier', 'centroid_extractor', 'player', 'star_tracker_sim', 'gyro_sim')
 """In the order in which they are created: who listens before who speaks, to miss nothing."""
 
 

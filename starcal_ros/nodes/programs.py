@@ -30,6 +30,7 @@ def _program(name: str) -> Callable[[], int]:
 
 centroid_extractor = _program('centroid_extractor')
 composed = _program('composed')
+display = _program('display')
 estimator = _program('estimator')
 gyro_sim = _program('gyro_sim')
 intrinsics_estimator = _program('intrinsics_estimator')

@@ -20,14 +20,16 @@ from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames, GyroSamples
+from starcal_ros.messages import foxglove
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.cdr_imu import IMU_TYPE, encode_imu
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
+from starcal_ros.messages.contents import Types
 from starcal_ros.recording import bag_metadata
 from starcal_ros.recording.bag_metadata import Offer, Part
 from starcal_ros.recording.mcap_writer import CHUNK_NS, McapWriter
@@ -71,8 +73,15 @@ def centroids_batch(topic: str, frames: Frames) -> Batch:
 
 @cache
 def typestore() -> Typestore:
-    """Return the messages of ROS 2 Kilted: their Python types, definitions and hashes."""
-    return get_typestore(Stores.ROS2_KILTED)
+    """Return the messages of ROS 2 Kilted, and Foxglove's: Python types, definitions, hashes."""
+    store = get_typestore(Stores.ROS2_KILTED)
+    for name, text in foxglove.DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+TYPES = Types(lambda name: typestore().types[name], lambda values: values)
+"""The message classes that `serialize` takes."""
 
 
 def serialize(type_name: str, message: object) -> bytes:

@@ -18,17 +18,17 @@ from starcal_ros.files.output import whole
 from starcal_ros.messages import topics
 from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
 from starcal_ros.messages.cdr_imu import encode_quaternions
-from starcal_ros.messages.contents import Contents, Types
+from starcal_ros.messages.contents import Contents
 from starcal_ros.messages.conventions import GYRO_FRAME, INERTIAL_FRAME, OPTICAL_FRAME
 from starcal_ros.recording.qos import LATCHED
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
-from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
-                                          typestore)
+from starcal_ros.recording.writer import (TYPES, Batch, Writer, centroids_batch, imu_batch,
+                                          serialize)
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.render import ImageSimulator
 from starcal_ros.simulation.truth import VECTOR_LABEL, Truth
 
-CONTENTS = Contents(Types(lambda name: typestore().types[name], lambda values: values))
+CONTENTS = Contents(TYPES)
 """Makes messages that `serialize` takes."""
 
 _BATCH_S = 60.0             # simulated seconds written at once

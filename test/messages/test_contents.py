@@ -18,12 +18,13 @@ from starcal_ros.filter.attitude_track import AttitudeTrack  # noqa: E402
 from starcal_ros.filter.calibrator import Calibrator  # noqa: E402
 from starcal_ros.messages import cdr_imu, topics  # noqa: E402
 from starcal_ros.messages.conventions import INERTIAL_FRAME  # noqa: E402
+from starcal_ros.messages.drawings import LINE_LIST, TEXT, Drawings  # noqa: E402
 from starcal_ros.nodes.base.qos import message_type  # noqa: E402
-from starcal_ros.nodes.base.ros_messages import CONTENTS as LIVE  # noqa: E402
-from starcal_ros.recording.writer import serialize, typestore  # noqa: E402
+from starcal_ros.nodes.base.ros_messages import DRAWINGS as LIVE  # noqa: E402
+from starcal_ros.recording.writer import TYPES, serialize, typestore  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
-from starcal_ros.simulation.write_recording import CONTENTS as RECORDED  # noqa: E402
 
+RECORDED = Drawings(TYPES)
 SCENARIO = TAN2018.replace(
     {'simulation.duration_s': 20.0})
 STAMP_NS = 1_782_993_600_123_456_789
@@ -65,6 +66,9 @@ def plain(type_name, cdr):
         STAMP_NS, CameraEstimate(CAMERA, SIGMAS[:7, :7], 3, 30))),
     (topics.RESIDUALS.type_name, lambda c, frame: c.residuals(frame)),
     (topics.TRUE_ATTITUDE.type_name, lambda c, _: c.attitude(STAMP_NS, C)),
+    (topics.MARKERS.type_name, lambda c, _: c.marker_array([
+        c.marker(STAMP_NS, 'o', 'lines', LINE_LIST, SIGMAS[:4, :3], [(0.1, 0.2, 0.3)] * 4, 0.1),
+        c.marker(STAMP_NS, 'o', 'text', TEXT, SIGMAS[:1, :3], [(0.1, 0.2, 0.3)], 0.1, '×')])),
 ])
 def test_live_and_recorded_messages_are_the_same_bytes(type_name, make, frame):
     recorded = serialize(type_name, make(RECORDED, frame))
