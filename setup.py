@@ -112,6 +112,8 @@ setup(
         'completion': ['argcomplete>=3.1'],
         # A page for browsers: starcal serve.
         'serve': ['aiohttp>=3.9'],
+        # A recording in Rerun: examples/rerun_recording.py.
+        'rerun': ['rerun-sdk>=0.41'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
         # The documentation: make docs.
@@ -134,6 +136,7 @@ setup(
             'pydocstyle',
             'pytest',
             'pytest-xdist',
+            'rerun-sdk>=0.41',
             'tetra3rs>=0.14,<0.15',
             *DOCS,
         ],
