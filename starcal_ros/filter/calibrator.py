@@ -320,7 +320,8 @@ class Calibrator:
                 prepared.gyro.reading[k + row]), belief.error, found.root[row])
             results.append(FrameResult(
                 stamp_ns, after, frames.uv_raster[own], found.residual[stars], found.chi2[stars],
-                found.accepted[stars], frames.catalog_id[own], float(found.nis[row]), True, track))
+                found.accepted[stars], frames.catalog_id[own], float(found.nis[row]),
+                found.turn[row], True, track))
             self._remember(stamp_ns, found.squares[row], int(found.used[row]))
         self.stamp_ns = stamp_ns
         self._rejected_in_a_row = self._torn_in_a_row = 0
@@ -358,6 +359,7 @@ class Calibrator:
                 belief, frame, update = self._together(belief, frame, update)
             self.consistency.meet(stamp_ns, belief.nominal, frame, update,
                                   frames.catalog_id[rows], frames.magnitude[rows])
+            turn = self.consistency.turn
             answered = self._answered(update.belief)
         except np.linalg.LinAlgError:
             answered = None
@@ -378,7 +380,8 @@ class Calibrator:
         return FrameResult(stamp_ns, self.belief, frames.uv_raster[rows],
                            np.where(usable[:, None], update.residual, np.nan),
                            np.where(usable, update.chi2, np.nan), update.accepted,
-                           frames.catalog_id[rows], float(update.nis), bool(update.linear), track)
+                           frames.catalog_id[rows], float(update.nis), turn, bool(update.linear),
+                           track)
 
     def _rest(self, stamp_ns: int) -> None:
         """Take the stars for such as do not trail; what was judged so far does not count."""

@@ -51,6 +51,9 @@ class FrameResult(NamedTuple):
         Hipparcos numbers.
     nis : float
         Normalised innovation squared of all stars used, ``2 * accepted.sum()`` degrees of freedom.
+    turn : (3,) array
+        Whitened turn that explains most of the innovation, `innovation_tests` Eq. (C.1); NaN where
+        the frame was not judged.
     linear : bool
         Whether the linear model held; where not, the frame was believed less (`curvature`).
     track : AttitudeTrack
@@ -65,5 +68,6 @@ class FrameResult(NamedTuple):
     accepted: Mask
     catalog_id: Ints
     nis: float
+    turn: Array
     linear: bool
     track: AttitudeTrack

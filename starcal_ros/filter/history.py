@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import kalman
+from starcal_ros.core import kalman, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.frame_result import FrameResult
@@ -43,12 +43,15 @@ class Residuals:
         Stars used.
     sigma : (m,) array
         Standard deviation of the centroid, each axis, that the filter took [px].
+    catalog_id : (m,) int64 array
+        Hipparcos numbers.
     """
 
     uv_raster: Array
     residual: Array
     accepted: Mask
     sigma: Array
+    catalog_id: Ints
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,15 @@ class History:
         Normalised innovation squared of the stars used.
     used : (n,) int64 array
         Number of stars used; nis has twice as many degrees of freedom.
+    turn : (n, 3) array
+        Whitened turn that explains most of the innovation, `innovation_tests` Eq. (C.1); NaN where
+        a frame was not judged.
+    seen : (n,) int64 array
+        Number of stars of each row in `stars`, used or not.
     stars : Residuals
+    turned : (3,) array
+        How far the gyros turned about each of their axes from frame to frame, forth and back
+        added up, of all frames [rad].
     """
 
     every: int
@@ -90,7 +101,13 @@ class History:
     equivalent_sigma: Array
     nis: Array
     used: Ints
+    turn: Array
+    seen: Ints
     stars: Residuals
+    turned: Array
+
+
+_Stars = tuple[Array, Array, Mask, Array, Ints]
 
 
 class _Row(NamedTuple):
@@ -99,14 +116,15 @@ class _Row(NamedTuple):
     stamp_ns: int
     belief: Belief
     nis: float
-    stars: tuple[Array, Array, Mask, Array]
+    turn: Array
+    stars: _Stars
 
 
 class _Block(NamedTuple):
     """Rows as arrays, in the order of `History`, and the stars of each."""
 
     arrays: tuple[Any, ...]
-    stars: list[tuple[Array, Array, Mask, Array]]
+    stars: list[_Stars]
 
 
 class HistoryKeeper:
@@ -126,6 +144,8 @@ class HistoryKeeper:
         self._blocks: list[_Block] = []
         self._last: tuple[FrameResult, Array] | None = None
         self._stated: dict[int, Array] = {}         # sigmas of the stars, by the frame's stamp
+        self._C_gi: list[Array] = []                # of the last frames
+        self._turned = np.zeros(3)
 
     def expect(self, frames: Frames) -> None:
         """Take frames before they are processed: what they state of their stars."""
@@ -138,6 +158,9 @@ class HistoryKeeper:
     def add(self, frame: FrameResult) -> None:
         """Take what a frame gave."""
         stated = self._stated.pop(frame.stamp_ns)
+        self._C_gi.append(frame.belief.estimate.C_gi)
+        if len(self._C_gi) == _BLOCK:
+            self._add_turns()
         if self._frames % self._every == 0:
             self._rows.append(_row(frame, stated))
             self._last = None
@@ -158,14 +181,21 @@ class HistoryKeeper:
         if self._last is not None:
             self._rows.append(_row(*self._last))
         self._end_block()
+        self._add_turns()
         joined = self._joined()
-        nothing = np.empty((0, 2)), np.empty((0, 2)), np.empty(0, bool), np.empty(0)
-        uv_raster, residual, accepted, sigma = (
+        nothing = (np.empty((0, 2)), np.empty((0, 2)), np.empty(0, bool), np.empty(0),
+                   np.empty(0, np.int64))
+        uv_raster, residual, accepted, sigma, catalog_id = (
             np.concatenate(parts) for parts in zip(nothing, *joined.stars))
         sigma = np.where(sigma == 0.0, self._sigma_px, sigma) * noise_factor
-        stamp_ns, bias, C_sg, intrinsics, spread, equivalent, nis, used = joined.arrays
-        return History(self._every, self._frames, stamp_ns, bias, C_sg, intrinsics, spread,
-                       equivalent, nis, used, Residuals(uv_raster, residual, accepted, sigma))
+        return History(self._every, self._frames, *joined.arrays, Residuals(
+            uv_raster, residual, accepted, sigma, catalog_id), self._turned.copy())
+
+    def _add_turns(self) -> None:
+        C_gi = np.array(self._C_gi).reshape(-1, 3, 3)
+        self._turned += np.abs(rotation.log(
+            C_gi[1:] @ np.swapaxes(C_gi[:-1], -1, -2))).sum(axis=0)
+        self._C_gi = self._C_gi[-1:]
 
     def _end_block(self) -> None:
         if not self._rows:
@@ -186,16 +216,17 @@ class HistoryKeeper:
 
 
 def _row(frame: FrameResult, stated: Array) -> _Row:
-    return _Row(frame.stamp_ns, frame.belief, frame.nis,
+    return _Row(frame.stamp_ns, frame.belief, frame.nis, frame.turn,
                 (frame.uv_raster.copy(), frame.residual.copy(), frame.accepted.copy(),
-                 stated.copy()))
+                 stated.copy(), frame.catalog_id.copy()))
 
 
 def _block(rows: list[_Row], pitch_mm: float) -> _Block:
     if not rows:
         return _Block((
             np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 7)),
-            np.empty((0, N_STATES)), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64)), [])
+            np.empty((0, N_STATES)), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64),
+            np.empty((0, 3)), np.empty(0, np.int64)), [])
     belief = Belief.stacked([row.belief for row in rows])
     estimate, root = belief.estimate, belief.state_root
     return _Block((
@@ -203,4 +234,5 @@ def _block(rows: list[_Row], pitch_mm: float) -> _Block:
         estimate.intrinsics, kalman.sigma_of(root),
         equivalent_sigma(root, estimate.intrinsics, pitch_mm),
         np.array([row.nis for row in rows]),
-        np.array([row.stars[2].sum() for row in rows])), [row.stars for row in rows])
+        np.array([row.stars[2].sum() for row in rows]), np.array([row.turn for row in rows]),
+        np.array([len(row.stars[0]) for row in rows])), [row.stars for row in rows])

@@ -887,7 +887,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
     (E, s, information, run, window, last_e, follows, star_frames, star_sums, cell_count,
      cell_squares, magnitude_count, magnitude_squares) = sums
     (C_gi_out, bias_out, C_sg_out, intrinsics_out, root_out, nis_out, used_out, log_det_out,
-     squares_out, chi2_out, accepted_out, residual_out) = out
+     squares_out, turn_out, chi2_out, accepted_out, residual_out) = out
     n = root.shape[1]
     error, slopes, shift = np.zeros((1, n)), np.zeros((1, 3, 0)), np.eye(3).reshape(1, 3, 3)
     drift, sigma = np.empty((1, 3)), np.empty(1)
@@ -977,6 +977,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
         C_gi_out[k], bias_out[k], C_sg_out[k], intrinsics_out[k], root_out[k] = (
             C_gi[0], bias[0], C_sg[0], intrinsics[0], root[0])
         nis_out[k], used_out[k], log_det_out[k] = nis[0], used, log_det[0]
+        turn_out[k] = e[0] if judged[0] else np.full(3, np.nan)
         squares_out[k] = 0.0
         for star in range(count):
             if accepted[0, star]:

@@ -121,6 +121,8 @@ class ModelTests:
         run of more than `HISTORY` windows every second, every fourth and so on.
     changes : list of ModelChange
         Steps and drifts that were answered.
+    turn : (3,) array
+        e of the last frame of the first run, Eq. (C.1); NaN where it was passed over.
     """
 
     def __init__(self, filter_: Filter, gate_probability: float, batch: tuple[int, ...] = (),
@@ -132,6 +134,7 @@ class ModelTests:
         self.changes: list[ModelChange] = []
         self.likelihood = Likelihood(filter_.detector)
         self.scores, self.noise_known = scores, True
+        self.turn: Array = np.full(3, np.nan)
         self._thinned = 1
         self._windows = 0
         self.begin()
@@ -191,6 +194,7 @@ class ModelTests:
             runs(update.spread, 0), runs(update.nis, 0), self._half)
         # The scatter of a frame that is believed less is not what is stated.
         judged = found.judged & np.ravel(update.linear)
+        self.turn = found.e[0] if judged[0] else np.full(3, np.nan)
         used = update.accepted.sum(axis=-1)
         self.likelihood.add(np.array([stamp_ns]), used[None], runs.back(found.log_det)[None],
                             update.nis[None])
@@ -227,7 +231,7 @@ class ModelTests:
 
     def met(self, stamp_ns: Ints, found: Gained) -> None:
         """Know of frames that were added to `sums`; to be followed by `answer` of the last."""
-        self._root = found.root[-1]
+        self._root, self.turn = found.root[-1], found.turn[-1]
         self.likelihood.add(stamp_ns, found.used, found.log_det, found.nis)
         self._changes.pass_over(stamp_ns[:-1])
         if self._tests[()].end_window():

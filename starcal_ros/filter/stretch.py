@@ -140,8 +140,9 @@ class TestSums(NamedTuple):
 class Gained(NamedTuple):
     """What each frame gave: the values after it, (m, ...), and of `Update` and `TurnFound`.
 
-    ``squares``, (m, 2), are the sums of the squared residuals of the stars used; ``chi2``,
-    ``accepted`` and ``residual`` are (k, ...), of the stars.
+    ``squares``, (m, 2), are the sums of the squared residuals of the stars used, ``turn``, (m, 3),
+    is e of `TurnFound`, NaN where the frame was not judged; ``chi2``, ``accepted`` and
+    ``residual`` are (k, ...), of the stars.
     """
 
     C_gi: Array
@@ -153,6 +154,7 @@ class Gained(NamedTuple):
     used: Ints
     log_det: Array
     squares: Array
+    turn: Array
     chi2: Array
     accepted: Mask
     residual: Array
@@ -169,7 +171,7 @@ class Gained(NamedTuple):
         return cls(np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, 3, 3)),
                    np.empty((frames, 7)), np.empty((frames, N_STATES, N_STATES)),
                    np.empty(frames), np.empty(frames, np.int64), np.empty(frames),
-                   np.empty((frames, 2)),
+                   np.empty((frames, 2)), np.empty((frames, 3)),
                    np.empty(stars), np.empty(stars, np.bool_), np.empty((stars, 2)))
 
 

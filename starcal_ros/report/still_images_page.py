@@ -127,7 +127,7 @@ def _residuals(name: str, title: str, refit: Refit, found: StillImageCamera) -> 
     spots, adjusted = refit.spots, refit.adjusted
     pixels = detector(found.scenario.camera)
     stars = Residuals(spots.uv + pixels.centre_raster, adjusted.residual, adjusted.used,
-                      spots.sigma)
+                      spots.sigma, refit.catalog_id)
     rows = []
     for k, image in enumerate(refit.names):
         mine = adjusted.used & (spots.frame == k)

@@ -33,15 +33,17 @@ SHIPPED_LIMIT = 8.0
 
 COLUMNS = (('hip', 1, 6, 0), ('ra', 16, 28, 10), ('dec', 30, 42, 10),
            ('parallax_mas', 44, 50, 2), ('pm_ra_cos_dec_mas_yr', 52, 59, 2),
-           ('pm_dec_mas_yr', 61, 68, 2), ('magnitude', 130, 136, 4))
+           ('pm_dec_mas_yr', 61, 68, 2), ('magnitude', 130, 136, 4), ('colour', 153, 158, 3))
 """What is read of ``hip2.dat``: name, first and last byte (from 1), digits after the point."""
 
 RECORD = np.dtype([('hip', '<i4'), ('ra', '<i8'), ('dec', '<i8'), ('parallax_mas', '<i4'),
                    ('pm_ra_cos_dec_mas_yr', '<i4'), ('pm_dec_mas_yr', '<i4'),
-                   ('magnitude', '<i4')])
+                   ('magnitude', '<i4'), ('colour', '<i2')])
 """One star as stored: the digits of each column without their decimal point."""
 
 _LINE_BYTES = 277
+_COLOUR_SIGMA = (160, 164)
+_UNKNOWN = -32768               # a colour; the source has 0.000 with a sigma of 0.000
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,8 @@ class Catalog:
         Parallax, 0 where the measured one is negative ["].
     magnitude : (n,) float64 array
         Hp magnitude.
+    colour : (n,) float64 array
+        Johnson B - V, NaN where unknown [mag].
     """
 
     hip: Ints
@@ -69,6 +73,7 @@ class Catalog:
     pm_dec: Array
     parallax_arcsec: Array
     magnitude: Array
+    colour: Array
 
     def __len__(self) -> int:
         return len(self.hip)
@@ -165,9 +170,15 @@ def read_hip2(path: str | PathLike[str]) -> NDArray[np.void]:
     lines = characters.reshape(-1, _LINE_BYTES)
     records = np.empty(len(lines), RECORD)
     for name, first, last, decimals in COLUMNS:
-        text = np.ascontiguousarray(lines[:, first - 1:last]).view(f'S{last - first + 1}')[:, 0]
-        records[name] = np.rint(text.astype(np.float64) * 10.0 ** decimals)
+        records[name] = np.rint(_numbers(lines, first, last) * 10.0 ** decimals)
+    records['colour'][(records['colour'] == 0) & (_numbers(lines, *_COLOUR_SIGMA) == 0.0)] = (
+        _UNKNOWN)
     return records[np.argsort(records['hip'])]
+
+
+def _numbers(lines: NDArray[np.uint8], first: int, last: int) -> Array:
+    text = np.ascontiguousarray(lines[:, first - 1:last]).view(f'S{last - first + 1}')[:, 0]
+    return text.astype(np.float64)
 
 
 def from_records(records: NDArray[np.void]) -> Catalog:
@@ -187,7 +198,8 @@ def from_records(records: NDArray[np.void]) -> Catalog:
         pm_ra=value['pm_ra_cos_dec_mas_yr'] * erfa.DMAS2R / np.cos(value['dec']),
         pm_dec=value['pm_dec_mas_yr'] * erfa.DMAS2R,
         parallax_arcsec=np.maximum(value['parallax_mas'], 0.0) / 1e3,
-        magnitude=value['magnitude'])
+        magnitude=value['magnitude'],
+        colour=np.where(records['colour'] == _UNKNOWN, np.nan, value['colour']))
     for field in fields(catalog):  # `load` hands the same arrays to every caller
         getattr(catalog, field.name).flags.writeable = False
     return catalog

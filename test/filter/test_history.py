@@ -8,6 +8,8 @@ import tracemalloc
 import numpy as np
 
 from instruments import TAN2018
+from starcal_ros.core import rotation
+from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import history
 from starcal_ros.filter.offline import calibrate, calibrate_source
 from starcal_ros.measurements.message_source import InMemory, MessageBatch
@@ -67,12 +69,29 @@ def test_a_thinned_history_has_rows_of_the_whole_one(monkeypatch):
     assert thin.every == 8 and thin.frames == len(whole.stamp_ns) == 240
     rows = np.append(np.arange(0, 240, 8), 239)         # and the last one
     for name in ('stamp_ns', 'bias', 'C_sg', 'intrinsics', 'sigma', 'equivalent_sigma', 'nis',
-                 'used'):
+                 'used', 'turn', 'seen'):
         np.testing.assert_array_equal(getattr(thin, name), getattr(whole, name)[rows])
+    np.testing.assert_array_equal(thin.turned, whole.turned)
     counts = np.diff(source.frames.first)
     kept = np.isin(np.repeat(np.arange(240), counts), rows)
     for part, every in zip(astuple(thin.stars), astuple(whole.stars)):
         np.testing.assert_array_equal(part, every[kept])
+
+
+def test_turns_are_those_of_the_motion_and_whitened_ones_have_unit_variance():
+    scenario = RUN.replace({'simulation.duration_s': 240.0})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    _, kept = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), scenario)
+    assert int(kept.seen.sum()) == len(kept.stars.catalog_id)
+    C_ig = tracker.truth.motion.attitude(kept.stamp_ns)
+    turned = np.abs(rotation.log(np.swapaxes(C_ig[1:], -1, -2) @ C_ig[:-1])).sum(axis=0)
+    assert (turned > 0.2).all()
+    # An attitude is good to some arc seconds from frame to frame.
+    np.testing.assert_allclose(kept.turned, turned, atol=len(C_ig) * 10.0 * ARCSEC)
+    turn = kept.turn[np.isfinite(kept.turn).all(axis=-1)]
+    assert 300 < len(turn) < len(kept.turn)         # the first ones are not judged
+    # Some thousand numbers: their mean square is 1 within 5 sigma.
+    assert abs(np.mean(turn**2) - 1.0) < 5.0 * np.sqrt(2.0 / turn.size)
 
 
 def test_a_long_run_takes_no_more_memory_than_a_short_one(monkeypatch):

@@ -376,7 +376,7 @@ def test_residual_map_has_rms_mean_and_count_of_each_cell():
     detector = Detector(1600, 1600, 0.01)
     stars = Residuals(np.array([[0.0, 0.0], [99.0, 99.4], [1599.4, 1599.4], [800.0, 800.0]]),
                       np.array([[1.0, 0.0], [3.0, 2.0], [0.5, 0.5], [9.0, 9.0]]),
-                      np.array([True, True, True, False]), np.full(4, 1.0))
+                      np.array([True, True, True, False]), np.full(4, 1.0), np.arange(4))
     heat = detector_charts.residual_map(stars, detector).figure.data[0]
     z = np.array(heat.z)
     assert np.isfinite(z).sum() == 2
@@ -389,7 +389,7 @@ def test_histograms_count_every_star_against_the_gaussian_of_its_own_sigma():
     rng = np.random.default_rng(3)
     sigma = rng.choice([0.05, 0.5], 10_000)
     stars = Residuals(np.zeros((10_000, 2)), sigma[:, None] * rng.normal(size=(10_000, 2)),
-                      np.full(10_000, True), sigma)
+                      np.full(10_000, True), sigma, np.ones(10_000, np.int64))
     for chart in detector_charts.residual_histograms(stars):
         bars, line = chart.figure.data
         assert np.sum(bars.y) >= 9990

@@ -269,7 +269,8 @@ def pole(limiting_magnitude=6.2, **more):
         'camera.width': 1000, 'camera.height': 601, 'observer.velocity': 'barycentre',
         'star_tracker.limiting_magnitude': limiting_magnitude, 'star_tracker.smear': False,
         **NOISELESS, **more})
-    star = Catalog(np.array([7]), *np.array([[0.0], [np.pi / 2], [0.0], [0.0], [0.0], [1.0]]))
+    star = Catalog(np.array([7]), *np.array(
+        [[0.0], [np.pi / 2], [0.0], [0.0], [0.0], [1.0], [0.0]]))
     return StarTrackerSimulator(setting, Truth.from_scenario(setting), star,
                                 np.random.default_rng(1)).next(1)
 
@@ -283,7 +284,7 @@ def random_sky(count):
     rng = np.random.default_rng(4)
     zero = np.zeros(count)
     return Catalog(np.arange(1, count + 1), rng.uniform(0.0, 2.0 * np.pi, count),
-                   np.arcsin(rng.uniform(-1.0, 1.0, count)), zero, zero, zero, zero)
+                   np.arcsin(rng.uniform(-1.0, 1.0, count)), *(zero,) * 5)
 
 
 @pytest.fixture(scope='module')

@@ -36,7 +36,8 @@ def fixed_stars(u_i: Array, parallax_arcsec: float = 0.0) -> Catalog:
     """Return invented stars in these directions, without proper motion."""
     ra, dec = erfa.c2s(u_i)
     zero = np.zeros(len(u_i))
-    return Catalog(np.arange(1, len(u_i) + 1), ra, dec, zero, zero, zero + parallax_arcsec, zero)
+    return Catalog(np.arange(1, len(u_i) + 1), ra, dec, zero, zero, zero + parallax_arcsec, zero,
+                   zero)
 
 
 def see(stars: Catalog, stamp_ns: int, observer: Observer) -> Array:
