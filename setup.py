@@ -114,6 +114,8 @@ setup(
         'serve': ['aiohttp>=3.9'],
         # A recording in Rerun: examples/rerun_recording.py.
         'rerun': ['rerun-sdk>=0.41'],
+        # Reports as PDF: --report report.pdf.
+        'pdf': ['weasyprint>=60'],
         # Monte Carlo on a cluster: starcal montecarlo --dask.
         'dask': ['dask', 'distributed'],
         # The documentation: make docs.
@@ -138,6 +140,7 @@ setup(
             'pytest-xdist',
             'rerun-sdk>=0.41',
             'tetra3rs>=0.14,<0.15',
+            'weasyprint>=60',
             *DOCS,
         ],
     },

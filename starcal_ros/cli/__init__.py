@@ -17,6 +17,7 @@ from contextlib import suppress
 import difflib
 from importlib import import_module
 import os
+import shlex
 import sys
 
 import starcal_ros
@@ -92,6 +93,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     options, unknown = parser.parse_known_args(words)
     if unknown:
         options.parser.error(f'unrecognized arguments: {" ".join(unknown)}')
+    options.line = shlex.join(('starcal', *words))
     return options
 
 

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from starcal_ros.cli import arguments, outputs
 from starcal_ros.cli.check import check_recording, open_recording
@@ -38,8 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_topics(parser)
     parser.add_argument('--out', metavar='RESULT.json', required=True, help='result to write')
     parser.add_argument('--figure', metavar='PNG', help='draw the convergence of the estimates')
-    parser.add_argument('--report', metavar='HTML',
-                        help='write the report: verdict, states, charts, on one page')
+    outputs.add_report(parser)
     parser.add_argument('--export', metavar='FOLDER',
                         help='write the calibration for other programs: camera_info.yaml, and '
                         'camchain.yaml and imu.yaml as Kalibr has them')
@@ -60,20 +59,38 @@ def run(options: argparse.Namespace) -> int:
     if folder is not None:
         outputs.make_folder(folder)
     outputs.claim(
-        [options.out, options.figure, options.report,
+        [options.out, options.figure, *outputs.reports(options),
          *([folder / name for name in export.NAMES] if folder else [])],
         [options.bag, options.config, *_saved(scenario).folders()], options.overwrite)
+    outputs.check_reports(options)
     calibrator, outcome = calibrate_recording(
         options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
-        Path(options.report) if options.report else None, folder, arguments.topics(options),
-        options.adopt, checked=not options.no_check)
+        Reports(options.report, options.light_report, options.line), folder,
+        arguments.topics(options), options.adopt, checked=not options.no_check)
     show_json(outcome)
     return STATUS[result.word(calibrator)]
 
 
+class Reports(NamedTuple):
+    """The reports that are asked for, and the command that does.
+
+    Attributes
+    ----------
+    paths : sequence of path
+        Of HTML or PDF.
+    light : path or None
+        Of HTML without a script.
+    command : str
+    """
+
+    paths: Sequence[str | Path] = ()
+    light: str | Path | None = None
+    command: str = ''
+
+
 def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: Path | None,
-                        page: Path | None, folder: Path | None = None,
+                        reports: Reports = Reports(), folder: Path | None = None,
                         choice: TopicChoice = TopicChoice(), adopt: bool = False,
                         checked: bool = True) -> tuple[Calibrator, dict[str, Any]]:
     """Calibrate a recording, write the result and show it; return the final state and it."""
@@ -142,11 +159,14 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     show(f'Verdict: {judged.summary}')
     if figure is not None:
         report.figure(history, truth, figure)
-    if page is not None:
-        from starcal_ros.report.page import Calibration, write_page
-        write_page(page, Calibration(outcome, truth, history, judged, used,
-                                     contradictions + notices,
-                                     calibrator.consistency.history))
+    if reports.paths or reports.light:
+        from starcal_ros.report import write
+        from starcal_ros.report.calibration import Calibration
+        from starcal_ros.report.page import page
+        write.write(page(Calibration(
+            outcome, truth, history, judged, used, contradictions + notices,
+            calibrator.consistency.history, start.covariance, reports.command)),
+            reports.paths, reports.light)
     return calibrator, outcome
 
 

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.calibrate import calibrate_recording
+from starcal_ros.cli.calibrate import Reports, calibrate_recording
 from starcal_ros.cli.terminal import progress, show, show_json
 
 DESCRIPTION = ('Start star tracker, gyro, estimator and recorder as separate ROS 2 processes, run '
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         recording = live_run.run_live(scenario, folder, on_progress)
     calibrator, outcome = calibrate_recording(
         recording, scenario, folder / live_run.RESULT, folder / live_run.FIGURE,
-        folder / live_run.REPORT)
+        Reports([folder / live_run.REPORT], command=options.line))
     difference = live_run.compare(recording, calibrator)
     show_json({'folder': str(folder), 'files': list(live_run.FILES),
                'live_differs_by': difference, 'result': outcome})

@@ -64,8 +64,9 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError('needs a recording, a folder of images, or --centroids STARS.csv')
     recording = not options.centroids and _is_recording(Path(options.source))
     still_images.refuse_unused(options, recording)
-    outputs.claim([options.out, options.report, options.stars],
+    outputs.claim([options.out, *outputs.reports(options), options.stars],
                   [options.source, options.centroids, options.config], options.overwrite)
+    outputs.check_reports(options)
     outcome = (_of_recording(options) if recording
                else still_images.run(options, _given(options)))
     if options.out:

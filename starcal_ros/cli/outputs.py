@@ -17,6 +17,31 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--overwrite', action='store_true', help='replace existing files')
 
 
+def add_report(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    """Add ``--report`` and ``--light-report``, for `reports`."""
+    parser.add_argument('--report', metavar='FILE', action='append', default=[],
+                        help='write the report: verdict, numbers, charts, on one page, of HTML or '
+                        '(FILE.pdf) PDF; may be given twice')
+    parser.add_argument('--light-report', metavar='HTML',
+                        help='write it with pictures in place of charts that zoom: half a '
+                        'megabyte, no script')
+
+
+def reports(options: argparse.Namespace) -> list[str | None]:
+    """Return the reports that will be written."""
+    return [*options.report, options.light_report]
+
+
+def check_reports(options: argparse.Namespace) -> None:
+    """See to it that the reports can be made; ConfigError where one can not."""
+    if options.report or options.light_report:
+        from starcal_ros.report import write
+        write.check(options.report)
+        if options.light_report and write.is_pdf(options.light_report):
+            raise ConfigError(f'--light-report: {options.light_report}: is HTML; PDF is for '
+                              '--report')
+
+
 def claim(outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None],
           overwrite: bool, scratch: Path | None = None) -> None:
     """See to it that files can be written and destroy nothing.

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars', 'annotate', 'utc_offset')
-_OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report')
+_OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report',
+            'light_report')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='of the air there; default: that of the standard atmosphere')
     images.add_argument('--temperature', metavar='C', type=float,
                         help='of the air there, likewise')
-    images.add_argument('--report', metavar='HTML', help='report to write, one page')
+    outputs.add_report(images)
     folder = parser.add_argument_group('IMAGES, a folder')
     folder.add_argument('--heldout', metavar='K', type=int,
                         help='hold out every K-th image: it judges the camera and takes no part')
@@ -82,14 +83,14 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
         Where there is one.
     """
     def given(names: tuple[str, ...]) -> list[str]:
-        return [name for name in names if getattr(options, name) not in (None, False)]
+        return [name for name in names if getattr(options, name) not in (None, False, [])]
 
     if recording:
         for name in given((*_OF_BOTH, *_OF_FOLDER, *_OF_TABLE)):
             shown = name.replace('_', '-')
             raise ConfigError(f'--{shown}: is for still images, {options.source} is a recording'
                               + ('; starcal calibrate reports on a recording'
-                                 if name == 'report' else ''))
+                                 if 'report' in name else ''))
         return
     for name in given(_OF_FOLDER if options.centroids else _OF_TABLE):
         raise ConfigError(f'--{name.replace("_", "-")}: is for '
@@ -156,24 +157,27 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
     if source.others:
         outcome['other_cameras'] = [each.outcome for each in others]
     drawn = _drawn(options, source.measured, (first, *others), source.left_out)
-    if options.report:
-        from starcal_ros.report.still_images_page import write_still_images_page
+    if options.report or options.light_report:
+        from starcal_ros.report import write
+        from starcal_ros.report.still_images_page import still_images_page
         doubts = [*filter(None, [outcome.get('air', {}).get('doubt')])]
-        write_still_images_page(options.report, found, outcome, [*source.notices, *doubts], drawn)
+        write.write(still_images_page(found, outcome, [*source.notices, *doubts], options.line,
+                                      drawn), options.report, options.light_report)
     return outcome
 
 
 def _drawn(options: argparse.Namespace, images: Sequence[Measured],
            cameras: Sequence[Calibrated], left_out: Mapping[str, str]) -> list[Annotated]:
     """Draw images, into the folder of ``--annotate``; return those that the report shows."""
-    if not images or not (options.annotate or options.report):
+    if not images or not (options.annotate or options.report or options.light_report):
         return []
     from starcal_ros.files.output import whole
     from starcal_ros.report.annotated import annotate, skies
     from starcal_ros.report.still_images_page import shown
     known = {name: sky for found, outcome in cameras
              for name, sky in skies(found, outcome['flipped']).items()}
-    kept = shown([image.name for image in images], left_out) if options.report else set()
+    kept = (shown([image.name for image in images], left_out)
+            if options.report or options.light_report else set())
     drawn = []
     with progress('drawing') as on_progress:
         for k, each in enumerate(annotate(images, known, left_out)):

@@ -188,8 +188,10 @@ class HistoryKeeper:
         uv_raster, residual, accepted, sigma, catalog_id = (
             np.concatenate(parts) for parts in zip(nothing, *joined.stars))
         sigma = np.where(sigma == 0.0, self._sigma_px, sigma) * noise_factor
-        return History(self._every, self._frames, *joined.arrays, Residuals(
-            uv_raster, residual, accepted, sigma, catalog_id), self._turned.copy())
+        stars = Residuals(uv_raster, residual, accepted, sigma, catalog_id)
+        # In the order of `History`, what is no array at its ends.
+        values = (self._every, self._frames, *joined.arrays, stars, self._turned.copy())
+        return History(*values)
 
     def _add_turns(self) -> None:
         C_gi = np.array(self._C_gi).reshape(-1, 3, 3)

@@ -5,10 +5,13 @@
 `states` has the table of the calibrated states, `cameras` those of a camera alone,
 `montecarlo_table` that of a Monte Carlo, `reproduction_table` what a paper has beside ours,
 `explanations` what would explain data that contradict the model, `convergence` the figure as PNG,
-`allan` the noise of a gyro. `page` puts all of a calibration on one page of HTML (`html`),
-`still_images_page` that of still images: `time_charts` are charts over time, `statistic_charts`
-those of the tests of the innovations, `detector_charts` those over the detector and of the
-residuals.
+`allan` the noise of a gyro.
+
+A page is made of sections (`markup`): `page` is that of a calibration, with `page_tables` and
+`page_charts`, `still_images_page` that of still images. `time_charts` are charts over time,
+`statistic_charts` those of the tests of the innovations, `detector_charts` those over the
+detector, `projection_charts`, `coverage_charts`, `residual_charts` what they are called.
+`write` makes HTML of a page, with charts that zoom or with pictures (`still_chart`), or PDF.
 """
 
 from starcal_ros.report.cameras import camera, chain, still_images, verdict_lines

@@ -8,9 +8,15 @@ from typing import Any, NamedTuple
 
 import plotly.graph_objects as go
 
-BLUE, PALE, RED, GREY = '#08306b', 'rgba(107, 174, 214, 0.35)', '#a50f15', '#777777'
-_LINE = {'showgrid': True, 'gridcolor': '#e6e6e6', 'zeroline': False, 'linecolor': '#999999',
-         'ticks': 'outside', 'tickcolor': '#999999', 'ticklen': 3, 'automargin': True,
+BLUE, BARS, RED, GREY, TEXT, GRID = (
+    '#08306b', '#9ecae1', '#a50f15', '#777777', '#222222', '#e6e6e6')
+"""Colours; report.css has others for a dark screen, under the names of `ROLES`."""
+PALE = 'rgba(107, 174, 214, 0.35)'
+ROLES = {BLUE: 'curve', BARS: 'bars', RED: 'mark', GREY: 'bound', TEXT: 'text', GRID: 'grid'}
+
+_CLEAR = 'rgba(0,0,0,0)'
+_LINE = {'showgrid': True, 'gridcolor': GRID, 'zeroline': False, 'linecolor': GREY,
+         'ticks': 'outside', 'tickcolor': GREY, 'ticklen': 3, 'automargin': True,
          'exponentformat': 'power', 'title': {'standoff': 6}}
 
 
@@ -38,8 +44,9 @@ def chart(title: str, traces: list[Any], x: str, y: str, wide: bool = False, hei
     figure = go.Figure(traces)
     figure.update_layout(
         template=go.layout.Template(), height=height, showlegend=False, hovermode='closest',
-        margin={'l': 10, 'r': 10, 't': 26, 'b': 10}, paper_bgcolor='white', plot_bgcolor='white',
-        font={'family': 'system-ui, sans-serif', 'size': 11, 'color': '#222222'})
+        margin={'l': 10, 'r': 10, 't': 26, 'b': 10}, paper_bgcolor=_CLEAR,
+        plot_bgcolor=_CLEAR, modebar={'bgcolor': _CLEAR, 'color': GREY, 'activecolor': TEXT},
+        font={'family': 'system-ui, sans-serif', 'size': 11, 'color': TEXT})
     figure.update_xaxes(**_LINE, title_text=x)
     figure.update_yaxes(**_LINE, title_text=y)
     figure.update_layout(**layout)

@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 import plotly.graph_objects as go
 
 from starcal_ros.core import camera
-from starcal_ros.core.arrays import Array
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.distributions import normal_cdf
 from starcal_ros.filter.history import Residuals
-from starcal_ros.report.chart import RED, Chart, chart
+from starcal_ros.report.chart import BARS, RED, Chart, chart
 
 CELLS = 16
 """Cells of the map of residuals, along each side of the detector."""
@@ -27,10 +29,7 @@ def residual_map(stars: Residuals, detector: Detector) -> Chart:
     """Return RMS and mean of the residuals of the stars used, cell by cell."""
     used = stars.accepted
     uv, residual = stars.uv_raster[used], stars.residual[used]
-    width, height = detector.width, detector.height
-    column, row = (np.clip((part + 0.5) / size * CELLS, 0, CELLS - 1).astype(int)
-                   for part, size in zip(uv.T, (width, height)))
-    cell = row * CELLS + column
+    cell = cell_of(uv, detector)
 
     def total(weight: Array | None = None) -> Array:
         return np.bincount(cell, weight, CELLS * CELLS).astype(np.float64)
@@ -39,13 +38,26 @@ def residual_map(stars: Residuals, detector: Detector) -> Chart:
     filled = np.where(count > 0, count, np.nan)
     mean = np.stack([total(part) / filled for part in residual.T], axis=-1)
     rms = np.sqrt(total(np.sum(residual**2, axis=-1)) / (2.0 * filled))
-    place = _places(detector, CELLS)
-    arrows, scale = _arrows(place, mean, width / CELLS)
+    place = places(detector, CELLS)
+    arrows, scale = _arrows(place, mean, detector.width / CELLS)
     hover = ('u %{x:.0f}, v %{y:.0f} px<br>rms %{z:.4f} px, %{customdata[0]} stars<br>'
              'mean %{customdata[1]:.5f}, %{customdata[2]:.5f} px<extra></extra>')
     return _map(
-        f'RMS of each axis [px]; arrows: mean × {scale:g}', place, rms, arrows, detector, hover,
-        np.column_stack((count, mean)))
+        f'RMS of each axis; arrows: mean × {scale:g}', place, rms, [arrows], detector, hover,
+        np.column_stack((count, mean)), 'px')
+
+
+def colour_map(title: str, place: Array, values: Array, detector: Detector, unit: str) -> Chart:
+    """Return the map of a number over the detector, (cells^2,) at the places of `places`."""
+    return _map(title, place, values, [], detector,
+                f'u %{{x:.0f}}, v %{{y:.0f}} px<br>%{{z:.3g}} {unit}<extra></extra>', None, unit)
+
+
+def cell_of(uv_raster: Array, detector: Detector) -> Ints:
+    """Return the cell of centroids [raster px] in a map of CELLS by CELLS, row by row."""
+    column, row = (np.clip((part + 0.5) / size * CELLS, 0, CELLS - 1).astype(np.int64)
+                   for part, size in zip(uv_raster.T, (detector.width, detector.height)))
+    return np.asarray(row * CELLS + column)
 
 
 def residual_histograms(stars: Residuals) -> list[Chart]:
@@ -59,7 +71,7 @@ def residual_histograms(stars: Residuals) -> list[Chart]:
         count, _ = np.histogram(values, edges)
         charts.append(chart(
             f'Residual in {axis} [sigma of the centroid]',
-            [go.Bar(x=middle, y=count, marker={'color': '#9ecae1'},
+            [go.Bar(x=middle, y=count, marker={'color': BARS},
                     hovertemplate='%{x:.2f}: %{y}<extra></extra>'),
              go.Scatter(x=middle, y=expected, mode='lines', line={'color': RED, 'width': 1.5},
                         hovertemplate='%{x:.2f}: %{y:.1f} expected<extra></extra>')],
@@ -83,20 +95,36 @@ def distortion_map(title: str, detector: Detector, intrinsics: Array, minus: Arr
         Camera whose distortion is taken off.
     """
     def field(cells: int) -> tuple[Array, Array]:
-        place = _places(detector, cells)
+        place = places(detector, cells)
         uv = place - detector.centre_raster
         shift = camera.distortion(uv, intrinsics, detector.pitch_mm)
         if minus is not None:
             shift -= camera.distortion(uv, minus, detector.pitch_mm)
         return place, shift
 
+    return shift_map(title, field, detector)
+
+
+def shift_map(title: str, field: Callable[[int], tuple[Array, Array]], detector: Detector
+              ) -> Chart:
+    """Return a map of shifts: their length in colours, and arrows.
+
+    Parameters
+    ----------
+    title : str
+        What the map shows.
+    field : callable
+        Gives places and shifts, (cells^2, 2) [px], by the cells along each side.
+    detector : Detector
+        Pixels.
+    """
     place, shift = field(_GRID)
     size = np.linalg.norm(shift, axis=-1)
     arrows, scale = _arrows(*field(_ARROWS), detector.width / _ARROWS)
     return _map(
         f'{title}: ≤ {size.max():.3g} px' + (f', arrows × {scale:g}' if size.any() else ''),
-        place, size, arrows, detector, 'u %{x:.0f}, v %{y:.0f} px<br>%{z:.4f} px: '
-        '%{customdata[0]:.4f}, %{customdata[1]:.4f}<extra></extra>', shift,
+        place, size, [arrows], detector, 'u %{x:.0f}, v %{y:.0f} px<br>%{z:.4f} px: '
+        '%{customdata[0]:.4f}, %{customdata[1]:.4f}<extra></extra>', shift, 'px',
         zmin=0.0, zmax=size.max() or 1.0)
 
 
@@ -106,12 +134,17 @@ def correlation(names: tuple[str, ...], values: Array) -> Chart:
         'Correlation of the states',
         [go.Heatmap(x=names, y=names, z=values, zmin=-1.0, zmax=1.0, colorscale='RdBu',
                     hovertemplate='%{x}, %{y}: %{z:.4f}<extra></extra>',
-                    colorbar={'thickness': 10, 'outlinewidth': 0})],
+                    colorbar=_bar('1'))],
         '', '', height=380, yaxis_autorange='reversed', xaxis_tickangle=-90,
         xaxis_tickfont_size=10, yaxis_tickfont_size=10, xaxis_dtick=1, yaxis_dtick=1)
 
 
-def _places(detector: Detector, cells: int) -> Array:
+def _bar(unit: str) -> dict[str, object]:
+    return {'thickness': 10, 'outlinewidth': 0, 'title': {'text': unit},
+            'exponentformat': 'power'}
+
+
+def places(detector: Detector, cells: int) -> Array:
     """Return the middle of each cell, row by row, (cells^2, 2) [raster px]."""
     u, v = ((np.arange(cells) + 0.5) * size / cells - 0.5
             for size in (detector.width, detector.height))
@@ -136,20 +169,20 @@ def _arrows(place: Array, vector: Array, spacing_px: float) -> tuple[go.Scatter,
                 'size': np.tile([0, 5, 0], len(place))}), scale
 
 
-def _map(title: str, place: Array, z: Array, arrows: go.Scatter, detector: Detector,
-         hover: str, customdata: Array, **limits: float) -> Chart:
+def _map(title: str, place: Array, z: Array, over: list[go.Scatter], detector: Detector,
+         hover: str, customdata: Array | None, unit: str, **limits: float) -> Chart:
     heat = go.Heatmap(
         x=_square(place)[0, :, 0], y=_square(place)[:, 0, 1], z=_square(z),
-        customdata=_square(customdata), hovertemplate=hover, colorscale='Cividis',
-        colorbar={'thickness': 10, 'outlinewidth': 0}, **limits)
+        customdata=None if customdata is None else _square(customdata), hovertemplate=hover,
+        colorscale='Cividis', colorbar=_bar(unit), **limits)
     return chart(
-        title, [heat, arrows], 'u [px]', 'v [px]', height=330,
+        title, [heat, *over], 'u [px]', 'v [px]', height=330,
         xaxis_range=[-0.5, detector.width - 0.5], yaxis_range=[detector.height - 0.5, -0.5],
         xaxis_constrain='domain', yaxis_constrain='domain', yaxis_scaleanchor='x',
         xaxis_showgrid=False, yaxis_showgrid=False)
 
 
 def _square(values: Array) -> NDArray[np.float32]:
-    """Return the values of the cells of `_places` as rows and columns."""
+    """Return the values of the cells of `places` as rows and columns."""
     cells = round(len(values)**0.5)
     return values.reshape(cells, cells, *values.shape[1:]).astype(np.float32)

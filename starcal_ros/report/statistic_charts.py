@@ -59,7 +59,7 @@ def _chart(rows: list[tuple[float, Statistic]]) -> Chart:
     edge = {'mode': 'lines', 'line': {'width': 0}, 'fillcolor': PALE, 'hoverinfo': 'skip'}
     ends = [min(0.0, float(minutes[0])), float(minutes[-1])]
     return chart(
-        f'{"" if final.passed else "Fails: "}{final.name} {final.value:.3g}, '
+        f'{"" if final.passed else "Fails: "}{final.name} {final.value + 0.0:.3g}, '
         f'allowed {final.low:.3g} to {final.high:.3g}',
         [go.Scatter(x=ends, y=[-1.0, -1.0], **edge),
          go.Scatter(x=ends, y=[1.0, 1.0], fill='tonexty', **edge),

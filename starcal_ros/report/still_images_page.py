@@ -7,19 +7,21 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import starcal_ros
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import detector
-from starcal_ros.files.output import write_text
 from starcal_ros.filter.history import Residuals
-from starcal_ros.report import detector_charts
+from starcal_ros.report import coverage_charts, detector_charts, projection_charts
 from starcal_ros.report.annotated import Annotated
+from starcal_ros.report.calibration import called, made
 from starcal_ros.report.cameras import entry, entry_columns, verdict_lines
-from starcal_ros.report.markup import charts, document, items, paragraph, section, table
+from starcal_ros.report.markup import Page, PageSection, charts, items, paragraph, section, table
+from starcal_ros.report.page_charts import against
+from starcal_ros.report.residual_charts import StarResiduals
 from starcal_ros.workflows.still_images.calibration import Refit, StillImageCamera
 from starcal_ros.workflows.still_images.opencv_camera import KEYS
 
@@ -27,26 +29,26 @@ _OWN = KEYS[:3]
 _PICTURES, _LONGEST_PX, _QUALITY = 8, 800, 50       # of some 0.1 MB
 
 
-def write_still_images_page(path: str | Path, found: StillImageCamera, outcome: dict[str, Any],
-                            notices: list[str], drawn: Sequence[Annotated] = ()) -> None:
-    """Write the report of a camera.
+def still_images_page(found: StillImageCamera, outcome: dict[str, Any], notices: list[str],
+                      command: str = '', drawn: Sequence[Annotated] = ()) -> Page:
+    """Return the report of a camera.
 
     Parameters
     ----------
-    path : path
-        HTML file.
     found : StillImageCamera
     outcome : dict
         Its result as written, with ``method``, ``source`` and, by name, ``left_out`` images.
     notices : list of str
         What a user should know.
+    command : str
+        That was given.
     drawn : sequence of Annotated
         Pictures to show.
     """
-    write_text(path, document(
-        f'Camera of {outcome["source"]}', _verdict(outcome), _camera(outcome), *_images(found),
-        *_each_image(outcome),
-        *_left_out(outcome), *_pictures(drawn), _distortion(found), _coupling(outcome), section(
+    return Page(f'Camera of {called(outcome["source"])}', tuple(_facts(found, outcome, command)), (
+        _verdict(outcome), _camera(outcome), _projection(found, outcome), _coverage(found),
+        *_images(found), *_each_image(outcome), *_left_out(outcome), *_pictures(drawn),
+        _distortion(found), _coupling(outcome), section(
             'notices', 'Notices', items(notices) if notices else paragraph('No notices.'),
             '<details><summary>Configuration</summary><pre>'
             f'{escape(parameter_file.dump(found.scenario))}</pre></details>')))
@@ -57,17 +59,46 @@ def shown(names: Sequence[str], left_out: Mapping[str, str]) -> set[str]:
     return set(sorted(names, key=lambda name: name not in left_out)[:_PICTURES])
 
 
-def _pictures(drawn: Sequence[Annotated]) -> list[str]:
+def _pictures(drawn: Sequence[Annotated]) -> list[PageSection]:
     figures = ''.join(
         f'<figure><figcaption>{escape(each.name)}: {escape(each.caption)}</figcaption>'
         f'<img alt="{escape(each.name)}" src="data:image/jpeg;base64,'
         f'{b64encode(each.jpeg(_LONGEST_PX, _QUALITY)).decode()}"></figure>' for each in drawn)
     return [section('pictures', 'Pictures', paragraph(
         f'At most {_PICTURES} are shown, those that are left out first; --annotate draws all.'),
-        f'<div class="pictures">{figures}</div>')] if drawn else []
+        f'<div class="charts">{figures}</div>')] if drawn else []
 
 
-def _verdict(outcome: dict[str, Any]) -> str:
+def _facts(found: StillImageCamera, outcome: dict[str, Any], command: str
+           ) -> list[tuple[str, str]]:
+    camera, f = found.scenario.camera, outcome['f_px']
+    field = [np.degrees(2.0 * np.arctan(0.5 * size / f)) for size in (camera.width, camera.height)]
+    return [('Images', f'{outcome["counts"]["images"]} of {outcome["source"]}'),
+            ('Camera', f'{camera.width} × {camera.height} px, f = {f:.5g} px, {field[0]:.3g}° × '
+             f'{field[1]:.3g}°'),
+            *made(command, starcal_ros.__version__)]
+
+
+def _projection(found: StillImageCamera, outcome: dict[str, Any]) -> PageSection:
+    pixels, camera = detector(found.scenario.camera), found.estimate
+    doubt = (' The sigmas are not to be believed.' if outcome['verdict'] == 'inconsistent' else '')
+    return section(
+        'projection', 'Projection',
+        paragraph('How far off the place of a star is on the detector, a turn of all stars taken '
+                  'out: 1 sigma of each of two axes.' + doubt),
+        charts([chart(pixels, camera.intrinsics, camera.covariance) for chart in (
+            projection_charts.camera_sigma, projection_charts.camera_sigma_arcsec)]))
+
+
+def _coverage(found: StillImageCamera) -> PageSection:
+    pixels = detector(found.scenario.camera)
+    uv = found.fit.spots.uv[found.fit.adjusted.used] + pixels.centre_raster
+    figure, told = coverage_charts.star_counts(uv, pixels)
+    return section('coverage', 'Coverage', paragraph(told),
+                   charts([figure, coverage_charts.radial_counts(uv, pixels)]))
+
+
+def _verdict(outcome: dict[str, Any]) -> PageSection:
     first, *others = verdict_lines(outcome)
     rows = [[each['name'], f'{each["value"]:.4g}', f'{each["low"]:.4g} to {each["high"]:.4g}',
              str(each['samples']), 'passed' if each['passed'] else 'failed']
@@ -79,7 +110,7 @@ def _verdict(outcome: dict[str, Any]) -> str:
         table(['test of the residuals', 'value', 'allowed', 'parts', ''], rows) if rows else '')
 
 
-def _camera(outcome: dict[str, Any]) -> str:
+def _camera(outcome: dict[str, Any]) -> PageSection:
     counts = outcome['counts']
     return section(
         'camera', 'Camera',
@@ -91,14 +122,14 @@ def _camera(outcome: dict[str, Any]) -> str:
               [entry(outcome, key) for key in outcome['parameters']]))
 
 
-def _images(found: StillImageCamera) -> list[str]:
+def _images(found: StillImageCamera) -> list[PageSection]:
     sections = [_residuals('fit', 'Images fitted', found.fit, found)]
     if found.heldout is not None:
         sections.append(_residuals('heldout', 'Images held out', found.heldout, found))
     return sections
 
 
-def _each_image(outcome: dict[str, Any]) -> list[str]:
+def _each_image(outcome: dict[str, Any]) -> list[PageSection]:
     own = outcome.get('own_f_px', {})
     rows = [[each['image'], *([_value(own.get(each['image']))] if own else []),
              *(f'{each[key]:.2f}' for key in _OWN),
@@ -116,15 +147,16 @@ def _value(found: dict[str, float] | None) -> str:
     return f'{found["f_px"]:.2f} ± {found["sigma"]:.2f}' if found else ''
 
 
-def _left_out(outcome: dict[str, Any]) -> list[str]:
+def _left_out(outcome: dict[str, Any]) -> list[PageSection]:
     reasons = outcome.get('left_out')
     return [section('left-out', 'Images left out',
                     table(['image', 'reason'], [list(item) for item in reasons.items()]))
             ] if reasons else []
 
 
-def _residuals(name: str, title: str, refit: Refit, found: StillImageCamera) -> str:
+def _residuals(name: str, title: str, refit: Refit, found: StillImageCamera) -> PageSection:
     spots, adjusted = refit.spots, refit.adjusted
+    used = adjusted.used
     pixels = detector(found.scenario.camera)
     stars = Residuals(spots.uv + pixels.centre_raster, adjusted.residual, adjusted.used,
                       spots.sigma, refit.catalog_id)
@@ -140,10 +172,13 @@ def _residuals(name: str, title: str, refit: Refit, found: StillImageCamera) -> 
                   f'camera held: RMS {refit.rms_px:.4f} px an axis.'),
         table(['image', 'stars', 'rejected', 'RMS u [px]', 'RMS v [px]'], rows),
         charts([detector_charts.residual_map(stars, pixels),
-                *detector_charts.residual_histograms(stars)]))
+                *detector_charts.residual_histograms(stars)]),
+        *against(StarResiduals(
+            adjusted.residual[used], spots.sigma[used], (spots.uv - adjusted.residual)[used],
+            pixels.centre_raster, refit.catalog_id[used]), None))
 
 
-def _distortion(found: StillImageCamera) -> str:
+def _distortion(found: StillImageCamera) -> PageSection:
     return section(
         'distortion', 'Distortion',
         paragraph('How far the lens moves the image of a star from where a pinhole has it.'),
@@ -151,7 +186,7 @@ def _distortion(found: StillImageCamera) -> str:
                                                found.estimate.intrinsics)]))
 
 
-def _coupling(outcome: dict[str, Any]) -> str:
+def _coupling(outcome: dict[str, Any]) -> PageSection:
     covariance = np.array(outcome['covariance'])
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)

@@ -165,13 +165,7 @@ def over_detector(a: StoredResult, b: StoredResult, detector: Detector) -> OverD
     half = 0.5 * (np.array([detector.width, detector.height]) - 1.0)
     u, v = (np.linspace(-each, each, _GRID) for each in half)
     uv = np.stack(np.meshgrid(u, v), axis=-1)
-    points, pitch = uv.reshape(-1, 2), detector.pitch_mm
-    r_a, R = camera.unproject(points, a.intrinsics, pitch), np.eye(3)
-    for _ in range(_STEPS):
-        uv_b, H_turn, J = camera.linearize(r_a @ R.T, b.intrinsics, pitch)
-        H, left = H_turn.reshape(-1, 3), uv_b - points
-        R = rotation.exp(-np.linalg.lstsq(H, left.reshape(-1), rcond=None)[0]) @ R
-    J = J.reshape(-1, 7)
+    R, left, H, J = turned_best(uv.reshape(-1, 2), a.intrinsics, b.intrinsics, detector.pitch_mm)
     turned = np.linalg.lstsq(H, J, rcond=None)[0]
     J = J - H @ turned
     variance = np.einsum('ij,jk,ik->i', J, a.of_camera + b.of_camera, J).reshape(-1, 2)
@@ -185,6 +179,37 @@ def over_detector(a: StoredResult, b: StoredResult, detector: Detector) -> OverD
     return OverDetector(uv, left.reshape(uv.shape),
                         np.sqrt(variance.mean(axis=1)).reshape(uv.shape[:2]),
                         rotation.log(R), net, net_sigma)
+
+
+def turned_best(uv: Array, before: Array, after: Array, pitch_mm: float
+                ) -> tuple[Array, Array, Array, Array]:
+    """Return what two cameras differ by when turned to each other, Eq. (C.3).
+
+    Parameters
+    ----------
+    uv : (n, 2) array
+        Places [px from the centre of the detector].
+    before, after : (7,) array
+        Intrinsics, as in `starcal_ros.core.camera`.
+    pitch_mm : float
+        Pixel pitch [mm].
+
+    Returns
+    -------
+    R : (3, 3) array
+        The implied rotation.
+    left : (n, 2) array
+        What it leaves [px].
+    H, J : (2 n, 3) and (2 n, 7) array
+        Derivatives of the places by turn and intrinsics [px/rad and px a unit].
+    """
+    r_s, R = camera.unproject(uv, before, pitch_mm), np.eye(3)
+    for _ in range(_STEPS):
+        there, H_turn, J = camera.linearize(r_s @ R.T, after, pitch_mm)
+        H, left = H_turn.reshape(-1, 3), there - uv
+        turn = np.linalg.lstsq(H, left.reshape(-1), rcond=None)[0]
+        R = rotation.exp(-np.asarray(turn, np.float64)) @ R
+    return R, left, H, J.reshape(-1, 7)
 
 
 def trends(results: Sequence[StoredResult]) -> list[Trend]:

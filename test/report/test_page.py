@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 from plotly.offline import get_plotlyjs
@@ -27,20 +28,29 @@ from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.recording import reader
 from starcal_ros.report import detector_charts, statistic_charts, time_charts
-from starcal_ros.report.chart import BLUE, RED
-from starcal_ros.report.page import Calibration, html
+from starcal_ros.report.calibration import Calibration, called
+from starcal_ros.report.chart import BLUE, RED, ROLES
+from starcal_ros.report.markup import document
+from starcal_ros.report.page import page as page_of
 from starcal_ros.reproduction import wrong_models
 from starcal_ros.results import result
 from starcal_ros.simulation import sensors
 
 SHORT = TAN2018.replace({'simulation.duration_s': 150.0})
-SECTIONS = ['verdict', 'states', 'convergence', 'residuals', 'consistency', 'distortion',
-            'coupling', 'counts', 'provenance']
-CHARTS = 13 + 3 + 29 + 1 + 4 + 3
-"""States; map and histograms; tests of the innovations; NIS; distortion; coupling."""
+SECTIONS = ['verdict', 'states', 'change', 'convergence', 'projection', 'coverage', 'residuals',
+            'consistency', 'distortion', 'coupling', 'counts', 'provenance']
+CHARTS = 13 + 3 + 2 + 3 + 10 + 1 + 29 + 2 + 3 + 3
+"""States; projection; coverage; map and histograms of residuals, against what they should not
+depend on, star by star; tests of the innovations; autocorrelation, NIS; distortion, of which the
+nominal camera has none; coupling."""
 HOSTILE = '<img src=x onerror=alert(1)>&"\'.mcap'
 HOSTILE_FILE = '</pre><script>alert(2)</script>.mcap'
 BROWSER = shutil.which('chromium')
+try:
+    import weasyprint       # noqa: F401
+    PDF = True
+except (ImportError, OSError):      # the package, or Pango, which it needs of the system
+    PDF = False
 PATIENCE_S = 120.0
 
 
@@ -88,6 +98,11 @@ class Page(HTMLParser):
         return cells[1:]
 
 
+def html_of(calibration):
+    """Return the report of a calibration as HTML."""
+    return document(page_of(calibration))
+
+
 @pytest.fixture(scope='module')
 def made(tmp_path_factory):
     """Return the folder in which the command has left a result and a report."""
@@ -97,7 +112,9 @@ def made(tmp_path_factory):
     bag = folder / HOSTILE
     assert main(['simulate', '--config', str(config), '--out', str(bag)]) == 0
     assert main(['calibrate', str(bag), '--config', str(config), '--out',
-                 str(folder / 'result.json'), '--report', str(folder / 'report.html')]) == 3
+                 str(folder / 'result.json'), '--report', str(folder / 'report.html'),
+                 *(['--report', str(folder / 'report.pdf')] if PDF else []), '--light-report',
+                 str(folder / 'light.html')]) == 3
     return folder
 
 
@@ -128,7 +145,8 @@ def test_sections_stand_in_their_order_the_verdict_first(page):
 
 
 def test_page_loads_nothing(page, made):
-    assert page.loads == ['data:,']             # the icon, which is there and empty
+    # The icon, which is there and empty, and the table of contents.
+    assert page.loads == ['data:,', *(f'#{name}' for name in SECTIONS)]
     own = (made / 'report.html').read_text().replace(get_plotlyjs(), '')
     assert not re.search(r'https?://|@import|url\(', own)
     assert own.count('<script>') == 2           # plotly.js, once, and the page's own
@@ -185,7 +203,7 @@ def test_doubtful_sigmas_are_told_on_the_page(tmp_path):
     made_of = result.result(calibrator, {'bag': 'x'})
     judged = verdict.of(calibrator)
     assert judged.word == 'inconsistent'
-    drawn_page = Page(html(Calibration(made_of, None, history, judged, scenario, [])))
+    drawn_page = Page(html_of(Calibration(made_of, None, history, judged, scenario, [])))
     head, *body = drawn_page.rows('states')
     for cells, state in zip(body, report.rows(made_of, None)):
         row = dict(zip(head, cells))
@@ -235,7 +253,7 @@ def test_without_truth_the_page_does_without_it(made, tmp_path):
                  str(tmp_path / 'r.json'), '--report', str(tmp_path / 'r.html')]) == 3
     page = Page((tmp_path / 'r.html').read_text())
     assert 'truth' not in page.rows('states')[0]
-    assert 'Estimate minus final estimate' in page.all('section')[2]['text']
+    assert 'Estimate minus final estimate' in page.all('section')[3]['text']
     told = len(json.loads((tmp_path / 'r.json').read_text())['consistency'])
     assert told < 29 and len(page.all('figcaption')) == CHARTS - 2 - 29 + told
 
@@ -268,10 +286,10 @@ def test_curves_are_thinned_from_end_to_end():
 
 
 def test_convergence_has_a_chart_a_state_with_its_bound(history):
-    charts = time_charts.convergence(history, None)
+    charts = time_charts.convergence(history, None, [1.0] * 13, [0.0] * 13)
     assert len(charts) == 13
     for k, chart in enumerate(charts):
-        lower, upper, error, _ = chart.figure.data
+        lower, upper, error = chart.figure.data[:3]
         np.testing.assert_array_equal(lower.y, -upper.y)
         assert error.y[-1] == 0.0               # against the final estimate
         assert (np.abs(error.y) < upper.y * 2.0).mean() > 0.9, STATE_NAMES[3 + k]
@@ -284,10 +302,10 @@ def test_a_step_parts_the_run_into_stretches():
         gyro.next(gyro.count), tracker.next(tracker.count), tracker.truth)
     calibrator, history = calibrate(samples, frames, scenario)
     outcome = result.result(calibrator, {'bag': 'spoilt.mcap'})
-    page = Page(html(Calibration(outcome, None, history, verdict.of(calibrator), scenario, [])))
-    section = next(each['text'] for each in page.all('section') if 'Changes' in each['text'])
+    page = Page(html_of(Calibration(outcome, None, history, verdict.of(calibrator), scenario, [])))
+    section = next(each['text'] for each in page.all('section') if each['id'] == 'steps')
     assert 'A step of the camera at 2026-07-02T12:03:29' in section
-    head, *rows = page.rows('changes')
+    head, *rows = page.rows('steps')
     assert len(head) == 4 and head[2].startswith('up to 2026-07-02T12:03:')
     _, _, before, after = next(row for row in rows if row[0] == 'f')
     before, after = (float(cell.split(' ±')[0]) for cell in (before, after))
@@ -299,7 +317,7 @@ def test_a_long_run_says_how_many_of_its_frames_are_kept(outcome, history):
     calibrator, _ = calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SHORT)
     n = len(history.stamp_ns)
     long = replace(history, every=4, frames=4 * n)
-    page = Page(html(Calibration(outcome, None, long, verdict.of(calibrator), SHORT, [])))
+    page = Page(html_of(Calibration(outcome, None, long, verdict.of(calibrator), SHORT, [])))
     said = {each['id']: each['text'] for each in page.all('section')}
     used = int(history.stars.accepted.sum())
     assert f'of the {used} stars used of one frame in 4: RMS' in said['residuals']
@@ -358,7 +376,7 @@ def test_page_tells_how_many_tests_fail(page):
     said, = [e['text'] for e in page.all('section') if e['id'] == 'consistency']
     assert 'All 29 tests of the innovations pass. ' in said
     captions = [e['text'] for e in page.all('figcaption', 'consistency')]
-    assert len(captions) == 30 and captions[0].startswith('NIS of the turns ')
+    assert len(captions) == 31 and captions[0].startswith('NIS of the turns ')
 
 
 def test_history_has_the_residuals_of_every_star(history):
@@ -456,3 +474,83 @@ def test_browser_prints_the_page_without_an_error(folder):
     _, console = browse(folder, f'--print-to-pdf={folder / "report.pdf"}')
     assert console == []
     assert (folder / 'report.pdf').read_bytes().startswith(b'%PDF-')
+
+
+def test_browser_gives_every_picture_a_name(folder):
+    dom, _ = browse(folder, '--dump-dom', '--window-size=1280,900')
+    dom = re.sub(r'<script.*?</script>', '', dom, flags=re.S)
+    svgs = re.findall(r'<svg\b[^>]*>', dom)
+    named = [svg for svg in svgs if 'aria-label="' in svg and 'role="img"' in svg]
+    assert len(named) == CHARTS
+    assert all('aria-hidden="true"' in svg for svg in svgs if svg not in named)
+    buttons = re.findall(r'<(?:a|button)\b[^>]*modebar-btn[^>]*>', dom)
+    assert buttons and all('aria-label="' in button for button in buttons)
+
+
+# The light page, and PDF
+
+
+def test_light_page_has_the_same_charts_without_a_script(made):
+    text = (made / 'light.html').read_text()
+    assert len(text.encode()) < 600_000
+    light, page = Page(text), Page((made / 'report.html').read_text())
+    assert light.all('script') == [] and 'script-src' not in text
+    assert [e['id'] for e in light.all('section')] == [e['id'] for e in page.all('section')]
+    captions = [e['text'] for e in page.all('figcaption')]
+    assert [e['text'] for e in light.all('figcaption')] == captions
+    assert [e['aria-label'] for e in light.all('svg')] == captions
+    assert len(re.findall(r'<path', text)) > 10 * CHARTS
+    # Each name is of one thing, and what a picture refers to is there.
+    names = re.findall(r' id="([^"]*)"', text)
+    assert len(names) == len(set(names))
+    assert set(re.findall(r'(?:xlink:href="|url\()#(\w+)', text)) <= set(names)
+
+
+def test_light_page_and_page_have_colours_for_a_dark_screen(made):
+    style = Page((made / 'light.html').read_text()).all('style')[0]['text']
+    dark = style.partition('@media screen and (prefers-color-scheme: dark)')[2]
+    for role in ROLES.values():
+        assert f'--{role}: #' in style and f'--{role}: #' in dark.partition('}\n}')[0]
+        assert role in ('text', 'grid', 'bound') or f'var(--{role},' in (
+            made / 'light.html').read_text()
+
+
+@pytest.mark.skipif(not PDF, reason='WeasyPrint, or Pango, is not installed')
+def test_pdf_has_the_page_on_paper(made):
+    content = (made / 'report.pdf').read_bytes()
+    assert content.startswith(b'%PDF-') and content.rstrip().endswith(b'%%EOF')
+    assert len(content) > 50_000
+
+
+@pytest.mark.parametrize(('missing', 'said'), [
+    (ImportError('no'), 'pip install starcal_ros[pdf]'),
+    (OSError('cannot load library'), 'apt-get install libpango-1.0-0')])
+def test_what_is_missing_for_pdf_is_said_before_the_work(made, tmp_path, capsys, monkeypatch,
+                                                         missing, said):
+    class Refusing:
+        def find_spec(self, name, path=None, target=None):
+            if name == 'weasyprint':
+                raise missing
+    monkeypatch.delitem(sys.modules, 'weasyprint', raising=False)
+    monkeypatch.setattr(sys, 'meta_path', [Refusing(), *sys.meta_path])
+    assert main(['calibrate', str(made / HOSTILE), '--out', str(tmp_path / 'r.json'),
+                 '--report', str(tmp_path / 'r.pdf')]) == 2
+    told = capsys.readouterr().err
+    assert 'PDF needs WeasyPrint' in told and said in told
+    assert not (tmp_path / 'r.json').exists()
+
+
+@pytest.mark.parametrize(('options', 'said'), [
+    (['--report', 'r.png'], 'r.png: a report ends in .html or .pdf'),
+    (['--light-report', 'r.pdf'], '--light-report: r.pdf: is HTML; PDF is for --report')])
+def test_reports_of_no_known_kind_are_refused(made, tmp_path, capsys, options, said):
+    assert main(['calibrate', str(made / HOSTILE), '--out', str(tmp_path / 'r.json'),
+                 *options]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_folder_is_called_by_its_name_whatever_leads_to_it(tmp_path, monkeypatch):
+    (tmp_path / 'night').mkdir()
+    monkeypatch.chdir(tmp_path / 'night')
+    assert called('.') == called('../night/') == 'night'
+    assert called('/') == '/'
