@@ -26,6 +26,8 @@ COMMANDS = {
     'serve': 'starcal_ros.nodes.programs:serve',
     'composed': 'starcal_ros.nodes.programs:composed',
 }
+README = Path('README.md')      # not there where colcon links what it installs
+URLS = {url.get('type'): url.text for url in MANIFEST.findall('url')}
 DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
 
 
@@ -53,6 +55,21 @@ setup(
     name=NAME,
     version=MANIFEST.findtext('version'),
     description=' '.join(MANIFEST.findtext('description', '').split()),
+    long_description=README.read_text(encoding='utf-8') if README.is_file() else '',
+    long_description_content_type='text/markdown',
+    url=URLS['website'],
+    project_urls={'Source': URLS['repository'], 'Issues': URLS['bugtracker'],
+                  'Changelog': f'{URLS["repository"]}/blob/main/CHANGELOG.rst'},
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Science/Research',
+        'License :: OSI Approved :: Apache Software License',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 14)),
+        'Topic :: Scientific/Engineering :: Astronomy',
+    ],
+    keywords=['star tracker', 'gyroscope', 'calibration', 'Kalman filter', 'ROS 2'],
     license=MANIFEST.findtext('license'),
     maintainer=MANIFEST.findtext('maintainer'),
     maintainer_email=MANIFEST.find('maintainer').get('email'),

@@ -75,4 +75,4 @@ Signs, time, the frame of every covariance and the words of the project are in
 ``docs/conventions.md``.
 """
 
-__version__ = '0.1.0'
+__version__ = '0.2.0'

@@ -3,12 +3,14 @@
 """The package installs: into a ROS 2 workspace with colcon, and anywhere with pip."""
 
 import importlib.util
+import json
 import os
 from pathlib import Path
 import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import venv
 from xml.etree import ElementTree
 
@@ -18,7 +20,8 @@ import yaml
 import starcal_ros
 
 TOP = Path(__file__).parents[1]
-PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'LICENSE',
+PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'LICENSE', 'README.md',
+         'MANIFEST.in', 'CHANGELOG.rst', 'CITATION.cff', 'CONTRIBUTING.md', 'Makefile',
          'bin', 'resource', 'config', 'launch', 'starcal_ros']
 EXECUTABLES = ['starcal', 'star_tracker_sim', 'gyro_sim', 'estimator', 'intrinsics_estimator',
                'centroid_extractor', 'star_identifier', 'recorder', 'player', 'serve', 'display',
@@ -97,6 +100,53 @@ def test_versions_agree():
     newest = re.search(r'^(\d+\.\d+\.\d+) \(', (TOP / 'CHANGELOG.rst').read_text(), re.MULTILINE)
     assert newest and newest.group(1) == version
     assert run(sys.executable, 'setup.py', '--version', cwd=TOP).splitlines()[-1] == version
+    citation = yaml.safe_load((TOP / 'CITATION.cff').read_text())
+    assert citation['version'] == version
+    assert f'{version} ({citation["date-released"]})' in (TOP / 'CHANGELOG.rst').read_text()
+
+
+def test_manifest_and_setup_name_the_same_places(copy):
+    urls = {url.get('type'): url.text
+            for url in ElementTree.parse(TOP / 'package.xml').findall('url')}
+    assert set(urls) == {'website', 'repository', 'bugtracker'}
+    told = run(sys.executable, 'setup.py', '--url', '--classifiers', '--license',
+               '--long-description', cwd=copy)
+    assert urls['website'] in told and 'License :: OSI Approved :: Apache' in told
+    assert (TOP / 'README.md').read_text().strip() in told
+
+
+def test_source_distribution_has_what_it_is_built_of_and_the_changelog(copy, tmp_path):
+    source = tmp_path / 'copy'
+    shutil.copytree(copy, source)
+    run(sys.executable, 'setup.py', '-q', 'sdist', '--dist-dir', tmp_path, cwd=source)
+    archive, = tmp_path.glob('*.tar.gz')
+    with tarfile.open(archive) as opened:
+        names = {name.partition('/')[2] for name in opened.getnames()}
+        opened.extractall(tmp_path / 'out', filter='data')
+    assert {'CHANGELOG.rst', 'README.md', 'LICENSE', 'package.xml', 'bin/starcal',
+            'config/tan2018.yaml', 'launch/simulate.launch.py',
+            'starcal_ros/data/hipparcos2_hp8.npy'} <= names
+    # It builds of what it has.
+    built, = (tmp_path / 'out').iterdir()
+    run(sys.executable, '-m', 'pip', 'wheel', '--no-deps', '--no-index', '--no-build-isolation',
+        '--wheel-dir', tmp_path, built, cwd=tmp_path)
+    assert list(tmp_path.glob('*.whl'))
+
+
+def test_container_takes_the_libraries_that_no_distribution_has():
+    text = (TOP / 'docker' / 'Dockerfile').read_text()
+    setup = (TOP / 'setup.py').read_text()
+    for name in ('mcap', 'plotly', 'rosbags', 'weasyprint'):
+        wanted, = {word for word in re.findall(r"'([^' ]+)'", setup)
+                   if re.match(rf'{name}\b', word)}
+        assert f"'{wanted}'" in text
+    # numpy is the distribution's before pip looks for it.
+    assert text.index('rosdep install') < text.index('pip install')
+    assert 'python3-venv' in text and '--system-site-packages' in text
+    folder = json.loads(''.join(
+        line for line in (TOP / '.devcontainer' / 'devcontainer.json').open()
+        if not line.lstrip().startswith('//')))
+    assert folder['image'].startswith('ros:')
 
 
 def test_the_audit_asks_for_what_pip_brought_and_not_for_the_checkout():
@@ -119,6 +169,9 @@ def test_colcon_builds_what_ros2_run_and_launch_look_for(colcon, tmp_path, optio
     assert sorted(path.name for path in (prefix / 'lib' / 'starcal_ros').iterdir()
                   if os.access(path, os.X_OK)) == sorted(EXECUTABLES)
     assert_share_is_complete(prefix)
+    if not options:         # linked ones belong to the interpreter that links them
+        script = (prefix / 'lib' / 'starcal_ros' / 'estimator').read_text()
+        assert script.startswith('#!/usr/bin/env python3\n')
     shell = f'. {tmp_path}/install/local_setup.sh && starcal --help'
     assert 'calibrate' in run('sh', '-c', shell, cwd=tmp_path)
 
