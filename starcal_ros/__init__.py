@@ -26,7 +26,7 @@ The wings
 Each imports itself and those before it in this table (``WINGS`` in ``test/test_style.py``). ::
 
     core            mathematics on arrays: rotations, the camera, Kalman steps, the image of a star
-    files           files written whole or not at all, and read within limits
+    files           files written whole or not at all, read within limits, kept from run to run
     sky             where the stars are: catalogue, apparent places, refraction
     config          one scenario: every parameter, and the models that are made of it
     measurements    what sensors deliver, in order, and what every calibration makes of it first

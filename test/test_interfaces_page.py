@@ -8,8 +8,8 @@ import re
 
 from starcal_ros.config.scenario import parameters
 from starcal_ros.core.statistic import Statistic
-from starcal_ros.filter.frame_result import Counts
 from starcal_ros.filter.changes import ModelChange
+from starcal_ros.filter.frame_result import Counts
 from starcal_ros.messages.topics import TOPICS
 
 TOP = Path(__file__).parents[1]

@@ -4,14 +4,18 @@
 
 The search is that of `tetra3rs` (G. Pettersson, *Tetra3*, ESA GNC 2023): the ratios of the six
 distances in a pattern of four stars are a key that neither attitude nor scale changes. Its
-database is built here from our own catalogue, so that its numbers are Hipparcos's: once a process
-and range of fields, in some two seconds for a field that is known to 10 %.
+database is built here from our own catalogue, so that its numbers are Hipparcos's: once for a
+range of fields, in some two seconds for a field that is known to 10 %, and then kept
+(`files.cache`), some 40 MB each.
 """
 
 from __future__ import annotations
 
-from functools import cache
+from contextlib import suppress
+import functools
+import hashlib
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 import tempfile
 from typing import Any, NamedTuple
@@ -20,6 +24,7 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
+from starcal_ros.files import cache
 from starcal_ros.sky import catalog
 
 _STEP = 1.5             # fields of one database are whole powers of it, from one to the next
@@ -111,7 +116,7 @@ def _steps(low_deg: float, high_deg: float) -> tuple[int, int]:
     return low - 1, high
 
 
-@cache
+@functools.cache
 def database(low: int, high: int, limiting_magnitude: float) -> Any:
     """Return a `tetra3rs.SolverDatabase` of fields of 1.5**low to 1.5**high degrees.
 
@@ -133,11 +138,20 @@ def database(low: int, high: int, limiting_magnitude: float) -> Any:
     table = np.zeros(len(stars), _STAR)
     table['number'], table['magnitude'] = stars.hip, stars.magnitude
     table['ra_deg'], table['dec_deg'] = np.degrees(stars.ra), np.degrees(stars.dec)
+    sky = (b'GDR3' + np.array(1, '<u4').tobytes() + np.array(len(table), '<u8').tobytes()
+           + table.tobytes())               # laid out as tetra3rs reads it
+    options = {'max_fov_deg': _STEP**high, 'min_fov_deg': _STEP**low,
+               'epoch_proper_motion_year': None, 'lattice_field_oversampling': oversampling,
+               'patterns_per_lattice_field': patterns}
+    told = f'{version("tetra3rs")} {options}'
+    name = 'patterns_' + hashlib.sha256(sky + told.encode()).hexdigest()
+    kept = cache.find(name)
+    if kept is not None:
+        with suppress(RuntimeError):        # of another build of the library
+            return tetra3rs.SolverDatabase.load_from_file(str(kept))
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, 'stars.bin')    # laid out as tetra3rs reads it
-        path.write_bytes(b'GDR3' + np.array(1, '<u4').tobytes()
-                         + np.array(len(table), '<u8').tobytes() + table.tobytes())
-        return tetra3rs.SolverDatabase.generate_from_gaia(
-            str(path), max_fov_deg=_STEP**high, min_fov_deg=_STEP**low,
-            epoch_proper_motion_year=None, lattice_field_oversampling=oversampling,
-            patterns_per_lattice_field=patterns)
+        path = Path(folder, 'stars.bin')
+        path.write_bytes(sky)
+        found = tetra3rs.SolverDatabase.generate_from_gaia(str(path), **options)
+    cache.keep(name, lambda draft: found.save_to_file(str(draft)))
+    return found

@@ -47,7 +47,7 @@ HOSTILE = '<img src=x onerror=alert(1)>&"\'.mcap'
 HOSTILE_FILE = '</pre><script>alert(2)</script>.mcap'
 BROWSER = shutil.which('chromium')
 try:
-    import weasyprint       # noqa: F401
+    import weasyprint  # noqa: F401
     PDF = True
 except (ImportError, OSError):      # the package, or Pango, which it needs of the system
     PDF = False
