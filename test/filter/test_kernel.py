@@ -5,9 +5,11 @@
 from dataclasses import replace
 from functools import partial
 import os
+import shutil
 import subprocess
 import sys
 
+from numba.core.caching import _CacheLocator
 import numpy as np
 import pytest
 
@@ -269,7 +271,10 @@ def test_without_numba_the_reference_runs():
 
 
 def test_a_compilation_is_said_once(tmp_path):
-    """With an empty cache, then with what the first process left in it."""
+    """With a cache that lacks one function, then with what the first process left in it."""
+    own = _CacheLocator.get_suitable_cache_subpath(kernel.__file__)
+    shutil.copytree(kernel._propagate.stats.cache_path, tmp_path / own,
+                    ignore=shutil.ignore_patterns('kernel._propagate*'))
     program = 'import starcal_ros.filter.arithmetic'
     environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
     said = [subprocess.run([sys.executable, '-c', program], check=True, env=environment, text=True,
