@@ -4,6 +4,7 @@
 of others, and what can not be used is named.
 """
 
+from concurrent.futures.process import BrokenProcessPool
 import csv
 import json
 from pathlib import Path
@@ -12,6 +13,7 @@ import shutil
 from PIL import Image, ImageOps
 from astropy.io import fits
 from eye import EPOCH, FOV, TRUE, Camera, save
+import joblib
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -19,12 +21,13 @@ from scipy.stats import chi2
 from instruments import REAL_SKY
 from starcal_ros.calibration.residual_tests import AIR
 from starcal_ros.cli import main
+from starcal_ros.config.image import CentroidConfig
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.identification import patterns
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import Site, altitude
-from starcal_ros.workflows.still_images import (folder as star_folder, opencv_camera, pipeline,
-                                                table)
+from starcal_ros.workflows.still_images import (folder as star_folder, measured, opencv_camera,
+                                                pipeline, table)
 
 pytest.importorskip('tetra3rs')
 
@@ -79,6 +82,29 @@ def test_any_method_calibrates_and_the_field_may_be_unknown(folder, tmp_path):
     assert abs(result['f_px'] - TRUE['f_px']) < 4.0 * result['sigma']['f_px'] < 2.0
     assert result['images'][0]['utc'] == '2026-03-05T22:00:00.250000'
     assert result['images'][1]['utc'] is None
+
+
+def test_files_are_measured_alike_one_by_one_and_several_at_once(folder, monkeypatch):
+    """Whether workers are started, and whether they live, changes nothing."""
+    def told(worth_s, parallel=joblib.Parallel):
+        monkeypatch.setattr(measured, '_WORTH_S', worth_s)
+        monkeypatch.setattr(joblib, 'Parallel', parallel)
+        parts = []
+        found = measured.measure(folder, CentroidConfig(), None, parts.append)
+        assert parts == sorted(parts) and parts[-1] == 1.0
+        return found
+
+    class Lost(joblib.Parallel):
+        def __call__(self, tasks):
+            yield next(super().__call__(tasks))
+            raise BrokenProcessPool
+
+    alone = told(np.inf)
+    for other in (told(-1.0), told(-1.0, Lost)):
+        assert [image.name for image in other.images] == [image.name for image in alone.images]
+        assert (other.left_out, other.notices) == (alone.left_out, alone.notices)
+        for left, right in zip(other.images, alone.images, strict=True):
+            np.testing.assert_array_equal(left.centroids.uv_raster, right.centroids.uv_raster)
 
 
 def test_a_folder_in_two_calls_is_the_camera_of_the_command(folder, tmp_path):
