@@ -28,8 +28,8 @@ demo: .venv/installed
 # On two cores, each file of tests on one of them, with one thread of its own; then those of the
 # nodes, of which a test starts up to six, with the machine to themselves.
 test: .venv/installed browser
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile --ignore test/nodes test
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest test/nodes
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile --ignore test/nodes --durations 30 test
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --durations 10 test/nodes
 
 # A browser that the pages are tested in; without one those tests are skipped.
 browser:
