@@ -118,7 +118,9 @@ function drawStars({ detector, stars }) {
 
 // Sigmas, on a logarithmic scale
 
-function drawStates({ states }) {
+function drawStates({ states, doubt }) {
+  byId('doubt').textContent = doubt;
+  byId('states').classList.toggle('doubted', Boolean(doubt));
   const known = states.filter((state) => state.ratio !== null);
   const logs = known.map((state) => Math.log10(Math.max(state.ratio, 1e-9)));
   const low = Math.min(-2, Math.floor(Math.min(...logs, 0)));

@@ -23,6 +23,8 @@ from starcal_ros.report.states import SIGMA_UNITS, short
 from starcal_ros.report.statistic_charts import place
 
 _KINDS = ('good', 'warning', 'bad', 'gone')     # by the level of diagnostics
+_ERROR = _KINDS.index('bad')
+_DOUBT = 'The data contradict the model: the sigmas are not to be believed.'
 _MOST_STARS = 2000                              # that a browser draws in no time
 
 
@@ -41,15 +43,17 @@ def picture(seen: Seen) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``verdict``: its `word`, the rest of its `text`, of what `kind` it is; ``advice``,
-        ``axis`` to turn about, ``time_to_go``, ``not_told_apart``: texts, empty of nothing;
-        ``stamp``: of the last frame; ``states``, ``tests``, ``rates``, ``counts``: lists;
-        ``detector``: its size; ``stars``: rows of u, v, du, dv [px], NIS, 1 where used, and
-        whether the residual is usual (0), larger (1) or odd (2); ``reprojection``: a text.
+        ``verdict``: its `word`, the rest of its `text`, of what `kind` it is; ``doubt``, what is
+        wrong with the sigmas, ``advice``, ``axis`` to turn about, ``time_to_go``,
+        ``not_told_apart``: texts, empty of nothing; ``stamp``: of the last frame; ``states``,
+        ``tests``, ``rates``, ``counts``: lists; ``detector``: its size; ``stars``: rows of u, v,
+        du, dv [px], NIS, 1 where used, and whether the residual is usual (0), larger (1) or odd
+        (2); ``reprojection``: a text.
     """
     advice, rms = facts.advice(seen), facts.reprojection_px(seen)
     return {
         'verdict': _verdict(seen),
+        'doubt': _DOUBT if seen.level == _ERROR else '',
         'advice': clean(advice), 'axis': advised_axis(advice),
         'time_to_go': time_text(facts.remaining_s(seen)),
         'not_told_apart': clean(facts.not_told_apart(seen)),

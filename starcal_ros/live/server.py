@@ -76,8 +76,9 @@ class Server:
         self._moments = [picture for _, picture in moments or ()]
         self._host, self._port = host, port
         self._newest, self._version, self.viewers = b'', 0, 0
-        self._changed = asyncio.Condition()
+        self._changed = asyncio.Event()         # another one for each moment
         self._runner: web.AppRunner | None = None
+        self._closed = False
 
     async def start(self) -> str:
         """Begin to listen, and return the address of the page.
@@ -104,14 +105,16 @@ class Server:
         host = f'[{self._host}]' if ':' in self._host else self._host
         return f'http://{host}:{self._port}/'
 
-    async def publish(self, picture: bytes) -> None:
-        """Show a moment to all who look on, in place of the one before."""
-        async with self._changed:
-            self._newest, self._version = picture, self._version + 1
-            self._changed.notify_all()
+    def publish(self, picture: bytes) -> None:
+        """Show a moment to all who look on, in place of the one before; in the loop's thread."""
+        self._newest, self._version = picture, self._version + 1
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
 
     async def close(self) -> None:
         """Let all viewers go."""
+        self._closed = True
+        self._changed.set()
         if self._runner is not None:
             await self._runner.cleanup()
 
@@ -160,7 +163,7 @@ class Server:
         try:
             await response.prepare(request)
             seen = 0
-            while True:
+            while not self._closed:
                 event, seen = await self._next(seen)
                 await asyncio.wait_for(response.write(event), _STALLED_S)
         except (ConnectionError, asyncio.TimeoutError):
@@ -172,13 +175,12 @@ class Server:
 
     async def _next(self, seen: int) -> tuple[bytes, int]:
         """Return the newest moment as an event, as soon as one is newer, or a sign of life."""
-        try:
-            async with self._changed:
-                await asyncio.wait_for(
-                    self._changed.wait_for(lambda: self._version > seen), _ALIVE_S)
-                return b'data: ' + self._newest + b'\n\n', self._version
-        except asyncio.TimeoutError:
-            return b': alive\n\n', seen
+        if self._version == seen:
+            try:
+                await asyncio.wait_for(self._changed.wait(), _ALIVE_S)
+            except asyncio.TimeoutError:
+                return b': alive\n\n', seen
+        return b'data: ' + self._newest + b'\n\n', self._version
 
 
 def _json(data: bytes) -> web.Response:

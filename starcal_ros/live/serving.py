@@ -82,7 +82,7 @@ class ServerThread:
         """Show a moment, where it is another than the one before; whoever calls does not wait."""
         if picture != self._published:
             self._published = picture
-            asyncio.run_coroutine_threadsafe(self._server.publish(picture), self._loop)
+            self._loop.call_soon_threadsafe(self._server.publish, picture)
 
     def close(self) -> None:
         """Let all viewers go."""

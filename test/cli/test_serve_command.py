@@ -155,7 +155,7 @@ def test_the_arrow_turns_by_the_right_hand(drawn, axis):
 def test_bars_are_long_by_the_logarithm_of_their_ratio(drawn, ratios, low):
     states = [{'name': 'f', 'label': 'f', 'unit': 'mm', 'of': 'mm', 'estimate': '1', 'sigma': '2',
                'tolerance': '4', 'ratio': ratio, 'within': ratio <= 1.0} for ratio in ratios]
-    drawn.tell(f'drawStates({json.dumps({"states": states})})')
+    drawn.tell(f'drawStates({json.dumps({"states": states, "doubt": ""})})')
     labels = drawn.tell("[...document.querySelectorAll('.at')].map((e) => [+e.textContent,"
                         ' parseFloat(e.style.left)])')
     assert labels[0] == [low, 0] and 1.0 in [value for value, _ in labels]
@@ -165,6 +165,18 @@ def test_bars_are_long_by_the_logarithm_of_their_ratio(drawn, ratios, low):
     for ratio, bar in zip(ratios, bars):
         assert bar == pytest.approx(per_decade * math.log10(ratio / low), rel=1e-3)
     assert max(bars) <= 100.0
+
+
+def test_bars_of_sigmas_that_are_doubted_look_doubted(drawn):
+    states = [{'name': 'f', 'label': 'f', 'unit': 'mm', 'of': 'mm', 'estimate': '1', 'sigma': '2',
+               'tolerance': '4', 'ratio': 0.5, 'within': True}]
+    looks = []
+    for doubt in ('not to be believed', ''):
+        drawn.tell(f'drawStates({json.dumps({"states": states, "doubt": doubt})})')
+        assert drawn.tell('document.getElementById("doubt").textContent') == doubt
+        looks.append(drawn.tell('getComputedStyle(document.querySelector(".within .bar"))'
+                                '.backgroundImage'))
+    assert 'gradient' in looks[0] and looks[1] == 'none'
 
 
 @pytest.mark.parametrize('width', [1280, 390])

@@ -44,6 +44,11 @@ def test_only_what_has_converged_is_good(message, level, kind):
     assert picture(Seen(message=message, level=level, silent_s=9.0))['verdict']['kind'] == 'gone'
 
 
+@pytest.mark.parametrize('level', [0, 1, 2, 3])
+def test_where_the_data_contradict_the_model_the_sigmas_are_doubted(level):
+    assert ('not to be believed' in picture(Seen(level=level))['doubt']) == (level == 2)
+
+
 def test_states_have_their_sigmas_over_their_tolerances():
     values = {'tolerance_u0': '0.5', 'tolerance_psi_x': '4'}
     told = {each['name']: each for each in picture(Seen(state(), values=values))['states']}

@@ -135,12 +135,12 @@ def test_open_to_the_network_it_is_called_by_addresses_and_its_own_name(host, st
 def test_every_viewer_gets_the_newest_moment_and_those_that_follow():
     async def look():
         async with serving() as (server, address, client):
-            await server.publish(b'{"n":0}')
-            await server.publish(b'{"n":1}')
+            server.publish(b'{"n":0}')
+            server.publish(b'{"n":1}')
             viewers = [await client.get(address + 'events') for _ in range(5)]
             assert {viewer.headers['Content-Type'] for viewer in viewers} == {'text/event-stream'}
             first = [await event(viewer) for viewer in viewers]
-            await server.publish(b'{"n":2}')
+            server.publish(b'{"n":2}')
             return first, [await event(viewer) for viewer in viewers]
     assert asyncio.run(look()) == ([{'n': 1}] * 5, [{'n': 2}] * 5)
 
@@ -162,24 +162,26 @@ def test_a_viewer_that_takes_nothing_holds_up_nobody_and_gets_no_backlog():
     async def look():
         async with serving() as (server, address, client):
             slow = await stalled(address)
-            quick = await client.get(address + 'events')
-            seen, waited_s = [], 0.0
-            for n in range(count):
-                begun = time.monotonic()
-                await server.publish(json.dumps({'n': n, 'x': 'x' * size}).encode())
-                waited_s = max(waited_s, time.monotonic() - begun)
-                if n % 10 == 0:
+            quick = await client.get(address + 'events', read_bufsize=2 * size)
+            seen = []
+
+            async def watch():
+                while seen[-1:] != [count - 1]:
                     seen.append((await event(quick))['n'])
+            watching = asyncio.create_task(watch())
+            for n in range(count):
+                server.publish(json.dumps({'n': n, 'x': 'x' * size}).encode())
+                await asyncio.sleep(0.002)
+            await asyncio.wait_for(watching, PATIENCE_S)    # the slow one has taken nothing yet
             slow.settimeout(PATIENCE_S)
             got, last = b'', json.dumps({'n': count - 1})[:-1].encode()
             while last not in got:
                 got += await asyncio.get_running_loop().run_in_executor(None, slow.recv, 1 << 20)
             slow.close()
-            return seen, waited_s, [int(n) for n in re.findall(rb'data: {"n": (\d+)', got)]
+            return seen, [int(n) for n in re.findall(rb'data: {"n": (\d+)', got)]
 
-    seen, waited_s, late = asyncio.run(look())
-    assert waited_s < 1.0               # not until the slow one takes something
-    assert seen == sorted(seen) and seen[-1] >= count - 20
+    seen, late = asyncio.run(look())
+    assert seen == sorted(set(seen)) and len(seen) > count / 10
     assert late == sorted(late) and late[-1] == count - 1
     assert len(late) < count / 4        # of 30 MB what the buffers hold, and the newest
 
@@ -194,7 +196,7 @@ def test_a_viewer_that_takes_nothing_for_long_is_let_go(monkeypatch):
             while server.viewers == 0 and time.monotonic() < deadline:
                 await asyncio.sleep(0.01)
             while server.viewers and time.monotonic() < deadline:
-                await server.publish(b'{"x":"%b"}' % (b'x' * 1_000_000))
+                server.publish(b'{"x":"%b"}' % (b'x' * 1_000_000))
                 await asyncio.sleep(0.02)
             slow.close()
             return server.viewers
