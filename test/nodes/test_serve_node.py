@@ -104,11 +104,17 @@ def offline():
     return calibrate(gyro.next(gyro.count), tracker.next(tracker.count), SCENARIO)[0]
 
 
-def test_viewers_see_the_run_and_the_estimator_does_not_notice_them(run):
+def test_viewers_see_the_run_and_are_one_subscriber_of_the_estimator(run, peer):
     assert run.newest(lambda moment: True)['verdict']['text'] == 'no estimator is heard so far'
     stalled = [run.stall() for _ in range(STALLED)]
     run.begin()
     early = run.newest(lambda moment: moment['stars'] and moment['states'])
+    peer.until(lambda: peer.node.count_publishers('starcal/state') == 1)
+    others = peer.node.get_subscriptions_info_by_topic('starcal/state')
+    assert sorted(info.node_name for info in others) == ['peer', 'serve']
+    for topic in ('imu/data_raw', 'star_tracker/centroids'):
+        names = {info.node_name for info in peer.node.get_subscriptions_info_by_topic(topic)}
+        assert 'serve' not in names         # no sensor waits for a page
     run.finish()
     last = run.newest(lambda moment: ['frames', '120'] in moment['counts'])
     assert early['stamp'] < last['stamp'] == '2026-07-02T12:00:59.500'
@@ -122,20 +128,6 @@ def test_viewers_see_the_run_and_the_estimator_does_not_notice_them(run):
     for each in stalled:
         each.close()
     assert 'Traceback' not in run.end()
-
-
-def test_all_viewers_are_one_subscriber(run, peer):
-    stalled = [run.stall() for _ in range(STALLED)]
-    run.begin()
-    run.newest(lambda moment: moment['states'])
-    peer.until(lambda: peer.node.count_publishers('starcal/state') == 1)
-    others = peer.node.get_subscriptions_info_by_topic('starcal/state')
-    assert sorted(info.node_name for info in others) == ['peer', 'serve']
-    for topic in ('imu/data_raw', 'star_tracker/centroids'):
-        names = {info.node_name for info in peer.node.get_subscriptions_info_by_topic(topic)}
-        assert 'serve' not in names         # no sensor waits for a page
-    for each in stalled:
-        each.close()
 
 
 def test_a_browser_follows_the_run_until_the_estimator_is_gone(run, tmp_path):
