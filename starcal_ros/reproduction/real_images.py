@@ -4,7 +4,8 @@
 
 They are no part of this package. The environment variable ``STARCAL_REAL_SKY`` names a folder with
 a sub-folder for each set, ``tomc16`` and ``granasat``, and in each ``stars.csv``: the identified
-stars of its images, as `workflows.still_images.table.read_centroids` reads them.
+stars of its images, as `workflows.still_images.table.read_centroids` reads them; and the images
+themselves, where the centroids of this package are compared with those. `sky_cases` has more.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ class ImageSet:
         Sub-folder.
     width, height : int
         Of its images [px].
+    fov_deg : float
+        Field across the width.
     reference_f_px, reference_rms_px, reference_heldout_px : float
         What the README beside the images has of a bundle fit by others.
     """
@@ -39,13 +42,16 @@ class ImageSet:
     name: str
     width: int
     height: int
+    fov_deg: float
     reference_f_px: float
     reference_rms_px: float
     reference_heldout_px: float
 
 
-SETS = (ImageSet('tomc16', 808, 608, 3230.22, 0.096, 0.097),
-        ImageSet('granasat', 1280, 960, 2657.86, 0.132, 0.134))
+SETS = (ImageSet('tomc16', 808, 608, 14.3, 3230.22, 0.096, 0.097),
+        ImageSet('granasat', 1280, 960, 27.0, 2657.86, 0.132, 0.134))
+HELD_OUT = 4
+"""Every so many-th image of a set is held out."""
 
 
 def folder() -> Path:
