@@ -40,7 +40,8 @@ _BATCHES = 50       # in which the frames are handed over, for the sake of the p
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes: the sources, and each parameter of the group ``intrinsics``."""
     parser.add_argument('source', metavar='BAG|IMAGES', nargs='?',
-                        help='.mcap file or rosbag2 directory, or a folder of images of the sky')
+                        help='.mcap file or rosbag2 directory, or a folder of images of the sky; '
+                        'a recording of images alone, without --config, is taken as such a folder')
     arguments.add_config(parser, recorded=True)
     arguments.add_topics(parser)
     parser.add_argument('--out', metavar='RESULT.json', help='result to write')
@@ -63,6 +64,10 @@ def run(options: argparse.Namespace) -> int:
     if bool(options.source) == bool(options.centroids):
         raise ConfigError('needs a recording, a folder of images, or --centroids STARS.csv')
     recording = not options.centroids and _is_recording(Path(options.source))
+    if recording and not options.config:
+        from starcal_ros.recording import stills
+        if stills.are_all(options.source):
+            recording = False           # as a folder of them
     still_images.refuse_unused(options, recording)
     outputs.claim([options.out, *outputs.reports(options), options.stars],
                   [options.source, options.centroids, options.config], options.overwrite)

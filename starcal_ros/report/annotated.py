@@ -18,12 +18,11 @@ from starcal_ros.config.models import detector
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
-from starcal_ros.imaging.files import pictures
 from starcal_ros.report import sky_grid
 from starcal_ros.sky import catalog
 from starcal_ros.sky.star_names import name_of
 from starcal_ros.workflows.still_images.calibration import StillImageCamera
-from starcal_ros.workflows.still_images.measured import Measured
+from starcal_ros.workflows.still_images.measured import Measured, pictures_of
 
 LONGEST_PX = 1200
 """Longer side of a picture as it is drawn."""
@@ -121,8 +120,8 @@ def annotate(images: Sequence[Measured], known: dict[str, ImageSky], left_out: M
     """
     for path, those in groupby(images, lambda image: image.path):
         wanted = {image.plane: image for image in those}
-        for plane, picture in enumerate(pictures(path)):
-            if (image := wanted.pop(plane, None)) is None:
+        for plane, picture in enumerate(pictures_of(path)):
+            if isinstance(picture, str) or (image := wanted.pop(plane, None)) is None:
                 continue
             sky = known.get(image.name)
             caption = _caption(image, sky, left_out.get(image.name, 'not used'))

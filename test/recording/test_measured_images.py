@@ -209,6 +209,25 @@ def test_images_in_a_recording_give_the_camera_of_a_folder(tmp_path):
                                                               abs=other['sigma']['f_px'])
     assert one['counts']['stars'] == pytest.approx(other['counts']['stars'], rel=0.05)
     assert one['assumed'] == []
+    # Without a word on the camera they are such a folder.
+    alone, page = tmp_path / 'alone.json', tmp_path / 'page.html'
+    assert main(['intrinsics', str(path), '--fov', '14.3', '--out', str(alone), '--report',
+                 str(page)]) == 4
+    same = json.loads(alone.read_text())
+    assert same['f_px'] == pytest.approx(other['f_px'], rel=1e-8)
+    assert [image['image'] for image in same['images']] == [f'six.mcap[{k}]' for k in range(6)]
+    assert same['images'][1]['utc'] == '2020-01-01T00:00:01'
+    assert 'src="data:image/jpeg' in page.read_text()
+
+
+def test_a_still_image_that_is_damaged_is_left_out_by_its_place(tmp_path, capsys):
+    path, sky = tmp_path / 'two.mcap', np.full((384, 384), 100, np.uint16)
+    with Writer(path) as writer:
+        for k, data in enumerate((encode_image(1, sky), encode_image(2, sky)[:200])):
+            writer.write('/star_tracker/image_raw', IMAGE_TYPE, data, k)
+    assert main(['intrinsics', str(path), '--fov', '15']) == 1
+    said = capsys.readouterr().err
+    assert 'two.mcap[0]: not identified: too few spots' in said and 'two.mcap[1]: image: ' in said
 
 
 def test_an_estimate_that_is_the_prior_is_said_to_be(tmp_path, capsys):

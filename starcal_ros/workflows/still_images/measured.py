@@ -18,8 +18,11 @@ from numpy.typing import NDArray
 
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.imaging.centroids import Centroids, of_picture
-from starcal_ros.imaging.files import ImageFileError, image_files, load, pictures
+from starcal_ros.imaging.files import ImageFileError, image_files, is_image, load, pictures
 from starcal_ros.imaging.picture import Picture
+from starcal_ros.messages.cdr import RecordError
+from starcal_ros.recording import stills
+from starcal_ros.recording.bag_files import METADATA
 
 _WORTH_S = 6.0          # of measuring that are left, for which workers are started
 _MOST_AT_ONCE = 8       # files: an image of 24 Mpx takes some 0.5 GB
@@ -82,7 +85,7 @@ def measure(folder: str | PathLike[str], config: CentroidConfig, mask: NDArray[n
     Parameters
     ----------
     folder : path
-        With images as `imaging.files` reads them.
+        With images as `imaging.files` reads them, or a recording that has nothing else.
     config : CentroidConfig
         How spots are measured.
     mask : (height, width) bool array, optional
@@ -96,7 +99,7 @@ def measure(folder: str | PathLike[str], config: CentroidConfig, mask: NDArray[n
         Where there is no image.
     """
     found = MeasuredFolder()
-    paths = image_files(folder)
+    paths = [Path(folder)] if is_recording(folder) else image_files(folder)
     for k, part in enumerate(_parts(paths, config, mask), start=1):
         found.images.extend(part.images)
         found.left_out.update(part.left_out)
@@ -125,6 +128,30 @@ def _parts(paths: Sequence[Path], config: CentroidConfig, mask: NDArray[np.bool_
     except BrokenProcessPool:           # no room for so many at once
         for path in paths[done:]:
             yield _measure_file(path, config, mask)
+
+
+def is_recording(path: str | PathLike[str]) -> bool:
+    """Tell a recording, one file or a folder of rosbag2, from a folder of images."""
+    path = Path(path)
+    return path.is_file() or path.is_dir() and any(
+        file.name == METADATA or file.suffix in ('.mcap', '.db3') for file in path.iterdir())
+
+
+def pictures_of(path: Path) -> Iterator[Picture | str]:
+    """Yield the images of a file or a recording, or what is wrong with one of them.
+
+    Raises
+    ------
+    ImageFileError
+        As `imaging.files.pictures`, and where a recording can not be read.
+    """
+    if is_image(path) or not is_recording(path):
+        yield from pictures(path)
+        return
+    try:
+        yield from stills.pictures(path)
+    except RecordError as error:
+        raise ImageFileError(str(error)) from None
 
 
 def read_mask(path: str | PathLike[str]) -> NDArray[np.bool_]:
@@ -157,7 +184,10 @@ def _measure_file(path: Path, config: CentroidConfig, mask: NDArray[np.bool_] | 
     planes: list[Measured | str] = []
     notes: set[str] = set()
     try:
-        for picture in pictures(path):
+        for picture in pictures_of(path):
+            if isinstance(picture, str):
+                planes.append(picture)
+                continue
             notes.add(picture.note)
             try:
                 planes.append(Measured(path.name, picture.shape,
