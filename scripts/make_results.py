@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Write the results page, docs/results.md, from what ``starcal reproduce`` gave.
+"""Write the pages of results, docs/results.md and docs/results/, from ``starcal reproduce``.
 
 Usage::
 
@@ -10,7 +10,7 @@ Usage::
 
 What the files hold replaces what ``docs/results.json`` holds under the same names, so a table can
 be made anew alone; the figures beside them go into ``docs/images/results/``. Without a file the
-page is written again from ``docs/results.json``. Every number of the page is one of that file.
+pages are written again from ``docs/results.json``. Every number of theirs is one of that file.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from PIL import Image
 DOCS = Path(__file__).parents[1] / 'docs'
 FIGURES = 'images/results'
 SECTIONS = {
-    'Covariance, bound, NEES and NIS': 'covariance',
-    'Tables of Tan et al. 2018 (T18)': r'table\d',
-    'Figures of T18': r'fig\d',
-    'Error budget': 'budget',
-    'Open loop and feedback': 'open-loop',
-    'Models that are wrong': 'wrong-models|detection-limits|user-mistakes',
-    'Wu et al. 2019 (W19)': 'w19-.*',
-    'Self-calibration of star sensors 2024 (S24)': 's24-.*',
-    'More': '.*',
+    'covariance': ('Covariance, bound, NEES and NIS', 'covariance'),
+    't18_tables': ('Tables of Tan et al. 2018 (T18)', r'table\d'),
+    't18_figures': ('Figures of T18', r'fig\d'),
+    'budget': ('Error budget', 'budget'),
+    'open_loop': ('Open loop and feedback', 'open-loop'),
+    'wrong_models': ('Models that are wrong', 'wrong-models|detection-limits|user-mistakes'),
+    'w19': ('Wu et al. 2019 (W19)', 'w19-.*'),
+    's24': ('Self-calibration of star sensors 2024 (S24)', 's24-.*'),
+    'more': ('More', '.*'),
 }
-"""Heading of each section, and the names that stand in it."""
+"""Page of each section, its heading, and the names of what stands in it."""
 HEAD = """# Results
 
 Made by `python scripts/make_results.py` from [results.json](results.json), which
@@ -47,31 +47,51 @@ that its numbers come from.
 
 *paper* is the number printed in the paper, *ours* what this package gives, *bound* the Cramér–Rao
 bound of the scenario, below which no unbiased estimator comes, and *ratio* ours over the bound.
+All runs of a study begin with the same errors, those of the nominal values; the intervals of NEES
+count that.
 """
 _COLOURS = 256
 
 
-def page(results: dict[str, Any]) -> str:
-    """Return the page, Markdown, of the outcomes by name."""
-    shared = [note for note, count in Counter(
-        note for outcome in results.values() for note in outcome['notes']).items() if count > 1]
-    left, lines = sorted(results), [HEAD]
-    for heading, pattern in SECTIONS.items():
+def pages(results: dict[str, Any]) -> dict[str, str]:
+    """Return the pages, Markdown, by their files in docs/: a list of all, and one a section."""
+    left, made, lines, hidden = sorted(results), {}, [HEAD], []
+    for file, (heading, pattern) in SECTIONS.items():
         names = [name for name in left if re.fullmatch(pattern, name)]
         left = [name for name in left if name not in names]
-        if names:
-            lines.append(f'## {heading}\n')
-        for name in names:
-            lines += _study(name, results[name], shared)
+        if not names:
+            continue
+        path = f'results/{file}.md'
+        made[path] = _page(heading, {name: results[name] for name in names})
+        lines += [f'**[{heading}]({path})**\n',
+                  *(f'* [{title}]({path}#{_anchor(title)})'
+                    for title in (results[name]['title'] for name in names)), '']
+        hidden.append(path.removesuffix('.md'))
+    lines += ['```{toctree}', ':hidden:', '', *hidden, '```', '']
+    return {'results.md': '\n'.join(lines), **made}
+
+
+def _anchor(title: str) -> str:
+    """Return the anchor that a heading has, with MyST as with GitHub."""
+    return re.sub(r'[^\w\- ]', '', title.lower()).replace(' ', '-')
+
+
+def _page(heading: str, results: dict[str, Any]) -> str:
+    shared = [note for note, count in Counter(
+        note for outcome in results.values() for note in outcome['notes']).items() if count > 1]
+    lines = [f'# {heading}\n',
+             'What the columns mean is told [before all results](../results.md).\n']
+    for name, outcome in results.items():
+        lines += _study(name, outcome, shared)
     lines += [f'[^{k}]: {note}\n' for k, note in enumerate(shared, start=1)]
     return '\n'.join(lines)
 
 
 def _study(name: str, outcome: dict[str, Any], shared: list[str]) -> list[str]:
     """Return the lines of one outcome: title, figure, tables, notes, command."""
-    lines = [f'### {outcome["title"]}\n']
+    lines = [f'## {outcome["title"]}\n']
     if outcome['figure']:
-        lines.append(f'![{outcome["title"]}]({FIGURES}/{name}.png)\n')
+        lines.append(f'![{outcome["title"]}](../{FIGURES}/{name}.png)\n')
     rows = outcome['rows']
     first = next(iter(rows[0]))
     groups = [(value, list(group)) for value, group in groupby(rows, lambda row: row[first])]
@@ -121,13 +141,15 @@ def gather(paths: list[Path], docs: Path) -> dict[str, Any]:
 
 def main() -> None:
     """Gather the files that are given and write the page."""
-    parser = argparse.ArgumentParser(description='Write docs/results.md.')
+    parser = argparse.ArgumentParser(description='Write docs/results.md and docs/results/.')
     parser.add_argument('files', metavar='FILE.json', nargs='*', type=Path,
                         help='what starcal reproduce wrote, its figures beside it')
     parser.add_argument('--docs', type=Path, default=DOCS, help='folder of the page')
     options = parser.parse_args()
     results = gather(options.files, options.docs)
-    (options.docs / 'results.md').write_text(page(results), encoding='utf-8')
+    (options.docs / 'results').mkdir(exist_ok=True)
+    for name, text in pages(results).items():
+        (options.docs / name).write_text(text, encoding='utf-8')
 
 
 if __name__ == '__main__':

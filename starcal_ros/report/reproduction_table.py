@@ -28,8 +28,9 @@ def published(outcome: Outcome) -> Table:
     """Return an outcome as a table, its notes below."""
     out = Table(title=literal(outcome.title), caption=literal('\n'.join(outcome.notes)),
                 caption_justify='left')
-    for name, value in zip(outcome.columns, outcome.rows[0]):
-        out.add_column(name, justify='left' if isinstance(value, str) else 'right',
+    for name, cells in zip(outcome.columns, zip(*outcome.rows)):
+        texts = all(isinstance(cell, str) for cell in cells)
+        out.add_column(name, justify='left' if texts else 'right',
                        overflow='fold')
     group = outcome.rows[0][0]
     grouped = sum(row[0] == group for row in outcome.rows) > 1

@@ -96,7 +96,7 @@ class Outcome:
     rows : tuple of tuples
         Text and numbers.
     notes : tuple of str
-        What the paper does not state, or can not be met honestly.
+        What the paper does not state, or what its numbers can not be by their own account.
     panels : tuple of Panel
         What is drawn; none for a table.
     values : mapping

@@ -185,7 +185,18 @@ def test_paper_below_the_bound_is_named(part, below, tmp_path):
     paper = {name: (float(part * bound[k]) if name == 'f' else float(bound[k]),)
              for k, name in enumerate(STATE_NAMES)}
     outcome = table4.swept('', study, paper, (), tmp_path, lambda part: None)
-    assert outcome.notes[0].endswith(below)
+    assert outcome.notes[1].endswith(below)
+    assert all(isinstance(row[-1], float) for row in outcome.rows)
+
+
+def test_a_bound_of_an_assumed_weight_has_no_ratio_and_nothing_is_below_it(tmp_path):
+    study = montecarlo.MonteCarlo(SCENARIO, 1, table4.KEY, (0.0, 0.05))
+    paper = {name: (0.0, 1e9) for name in STATE_NAMES}
+    outcome = table4.swept('', study, paper, (), tmp_path, lambda part: None, (0.0,))
+    assert {row[-1] for row in outcome.rows if row[0].endswith('= 0')} == {''}
+    assert all(row[-1] > 0.0 for row in outcome.rows if row[0].endswith('= 0.05'))
+    assert 'counts as one draw' in outcome.notes[0] and outcome.notes[1].endswith('nowhere.')
+    report.published(outcome)
 
 
 def test_command_prints_the_table_and_writes_it(tmp_path, capsys):
