@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import say, show
+from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 
 if TYPE_CHECKING:
+    from starcal_ros.core.arrays import Array
     from starcal_ros.core.camera import Detector
-    from starcal_ros.results.comparison import Agreement, OverDetector
+    from starcal_ros.results.comparison import Agreement, OverDetector, Trend
     from starcal_ros.results.read import StoredResult
 
 DESCRIPTION = ('Tell by how much calibrations of one instrument differ: each state in sigmas, the '
@@ -33,25 +34,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('results', metavar='RESULT', nargs='+',
                         help='RESULT.json of calibrate, bootstrap or intrinsics (of a recording), '
                         'or the folder of a saved calibration; two or more, the first is what '
-                        'the others are compared with')
+                        'the others are compared with; or one recording, with --cross-validate')
+    parser.add_argument('--cross-validate', metavar='N', type=int,
+                        help='compare calibrations of N parts of one recording')
+    parser.add_argument('--temperature', metavar='C,C,…',
+                        help='temperature of the instrument at each result, deg C: how the states '
+                        'go with it')
     parser.add_argument('--config', metavar='FILE', help='parameter file that states the '
-                        'detector, where the results do not')
+                        'detector, where the results do not; of --cross-validate the scenario, '
+                        'default: that of the recording')
+    parser.set_defaults(namespace=None)
     arguments.add_json(parser, 'all of it as JSON')
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.results import comparison
-    from starcal_ros.results.read import read_result
-    from starcal_ros.results.result import CalibrationError
-    if len(options.results) < 2:
-        raise ConfigError(f'{options.results[0]}: alone; needs two results or more')
-    try:
-        results = [read_result(Path(name)) for name in options.results]
-    except CalibrationError as error:
-        raise ConfigError(str(error)) from None
+    results, notices = _parts(options) if options.cross_validate is not None else _read(options)
     detector = _detector(results, options)
-    notices = list(_notices(results, detector))
+    notices += _notices(results, detector)
+    temperature = _temperature(options.temperature, len(results))
     for text in notices:
         say(f'warning: {text}')
     first, *others = results
@@ -60,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
     states = [comparison.states(first, each) for each in others]
     maps = [comparison.over_detector(first, each, detector) for each in others] if detector else []
     trends = comparison.trends(results)
+    warmth = [] if temperature is None else comparison.trends_over(results, temperature)
     if options.json:
         print(json.dumps({
             'results': [{'name': each.name, 'stamp_ns': each.stamp_ns, 'verdict': each.verdict}
@@ -70,9 +73,9 @@ def run(options: argparse.Namespace) -> int:
                 'name': each.name, 'states': [state._asdict() for state in rows],
                 'over_the_detector': _over(maps[k]) if maps else None}
                 for k, (each, rows) in enumerate(zip(others, states))],
-            'trends': [{'name': each.name, 'slope_a_day': each.slope, 'sigma': each.sigma,
-                        'constant': _agreement(each.constant), 'line': _agreement(each.line)}
-                       for each in trends]}, indent=1, allow_nan=False))
+            'trends': [_trend(each, 'slope_a_day') for each in trends],
+            'trends_with_temperature': [_trend(each, 'slope_a_kelvin') for each in warmth]},
+            indent=1, allow_nan=False))
         return _DIFFER if differ else 0
     from starcal_ros.report import comparison as report
     show(report.differences([each.name for each in results], states))
@@ -80,9 +83,58 @@ def run(options: argparse.Namespace) -> int:
         show(report.detector_line(each.name, over))
     if trends:
         show(report.trend_table(trends))
+    if warmth:
+        show(report.trend_table(warmth, 'temperature', 'kelvin'))
     for text in report.verdict_lines(found, differ):
         show(text)
     return _DIFFER if differ else 0
+
+
+def _read(options: argparse.Namespace) -> tuple[list[StoredResult], list[str]]:
+    """Return the results that are named."""
+    from starcal_ros.results.read import read_result
+    from starcal_ros.results.result import CalibrationError
+    if len(options.results) < 2:
+        raise ConfigError(f'{options.results[0]}: alone; needs two results or more, or '
+                          '--cross-validate N for a recording')
+    try:
+        return [read_result(Path(name)) for name in options.results], []
+    except CalibrationError as error:
+        raise ConfigError(str(error)) from None
+
+
+def _parts(options: argparse.Namespace) -> tuple[list[StoredResult], list[str]]:
+    """Return the calibrations of the parts of a recording, and what is to be said of them."""
+    from starcal_ros.recording import reader
+    from starcal_ros.workflows.cross_validation import calibrate_parts, hardly_seen
+    if len(options.results) > 1:
+        raise ConfigError('--cross-validate: takes one recording, got '
+                          f'{len(options.results)} names')
+    if options.cross_validate < 2:
+        raise ConfigError(f'--cross-validate: got {options.cross_validate}, needs 2 or more')
+    bag = options.results[0]
+    scenario = arguments.scenario_of(bag, options, ('estimator',))
+    with progress('reading') as on_progress:
+        recording = reader.read(bag, on_progress)
+    with progress('calibrating') as on_progress:
+        results = calibrate_parts(recording.gyro, recording.frames, scenario,
+                                  options.cross_validate, on_progress)
+    return results, [*recording.warnings, *hardly_seen(results, scenario)]
+
+
+def _temperature(text: str | None, results: int) -> Array | None:
+    """Return the temperatures that are given, one a result."""
+    import numpy as np
+    if text is None:
+        return None
+    try:
+        values = np.array([float(word) for word in text.split(',')])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != results or not np.isfinite(values).all():
+        raise ConfigError(f'--temperature: got {text!r}, needs {results} numbers, one for each '
+                          'result, such as ' + ','.join(['20.5'] * results))
+    return values
 
 
 def _detector(results: Sequence[StoredResult], options: argparse.Namespace) -> Detector | None:
@@ -113,6 +165,11 @@ def _notices(results: Sequence[StoredResult], detector: Detector | None) -> Iter
     if detector is None:
         yield ('no result states its detector: nothing is told in pixels; --config FILE, or '
                'the folder of a saved calibration, would')
+
+
+def _trend(found: Trend, slope: str) -> dict[str, Any]:
+    return {'name': found.name, slope: found.slope, 'sigma': found.sigma,
+            'constant': _agreement(found.constant), 'line': _agreement(found.line)}
 
 
 def _agreement(found: Agreement) -> dict[str, Any]:

@@ -58,11 +58,11 @@ def detector_line(name: str, found: OverDetector) -> str:
             f'{_arcsec(found.turn)} taken out{net}')
 
 
-def trend_table(trends: Sequence[Trend]) -> Table:
-    """Return the table of trends."""
-    out = Table(title='With time', caption='a straight line against none; by chance: how often a '
-                'state that stays, or goes so, scatters more')
-    for column in ('state', 'unit', 'a day', 'sigma', 'in sigmas', 'stays, by chance',
+def trend_table(trends: Sequence[Trend], quantity: str = 'time', unit: str = 'day') -> Table:
+    """Return the table of trends with a quantity."""
+    out = Table(title=f'With {quantity}', caption='a straight line against none; by chance: how '
+                'often a state that stays, or goes so, scatters more')
+    for column in ('state', 'unit', f'a {unit}', 'sigma', 'in sigmas', 'stays, by chance',
                    'straight, by chance'):
         out.add_column(column, justify='left' if column in ('state', 'unit') else 'right')
     for each in trends:

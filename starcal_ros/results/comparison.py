@@ -110,10 +110,10 @@ class OverDetector:
 
 
 class Trend(NamedTuple):
-    """One state over the stamps: a straight line, against none.
+    """One state over the stamps, or over a quantity: a straight line, against none.
 
-    Its slope and sigma are in STATE_UNITS a day, `constant` is the chi-square about the mean,
-    `line` that about the line.
+    Its slope and sigma are in STATE_UNITS a day, or a unit of the quantity;
+    `constant` is the chi-square about the mean, `line` that about the line.
     """
 
     name: str
@@ -215,9 +215,19 @@ def turned_best(uv: Array, before: Array, after: Array, pitch_mm: float
 def trends(results: Sequence[StoredResult]) -> list[Trend]:
     """Return how each state goes with the stamps; nothing where they are less than three."""
     stamps = [each.stamp_ns for each in results]
-    if len(results) < 3 or None in stamps or len(set(stamps)) < 3:
+    if None in stamps:
         return []
-    t = (np.array(stamps) - min(each for each in stamps if each is not None)) * NS / _DAY_S
+    return trends_over(results, (
+        np.array(stamps) - min(each for each in stamps if each is not None)) * NS / _DAY_S)
+
+
+def trends_over(results: Sequence[StoredResult], t: Array) -> list[Trend]:
+    """Return how each state goes with a quantity, one value a result.
+
+    Nothing where it has less than three different values: they say nothing of a straight line.
+    """
+    if len(np.unique(t)) < 3:
+        return []
     size, found = _size(results), list[Trend]()
     values = np.array([_value(results[0], each, size) for each in results])
     sigmas = np.array([np.sqrt(np.diagonal(each.covariance)[-size:]) for each in results])

@@ -77,7 +77,7 @@ def read_result(path: Path) -> StoredResult:
             of = detector(parameter_file.load(path / CONFIG).camera)
         file = path / RESULT if path.is_dir() else path
         found = load_json(file.read_text(encoding='utf-8'))
-        return _stored(str(path), found, of)
+        return stored(str(path), found, of)
     except OSError as error:
         raise CalibrationError(f'{path}: cannot be read: {error.strerror}') from None
     except (ConfigError, ValueError, LookupError, TypeError, AttributeError,
@@ -86,7 +86,11 @@ def read_result(path: Path) -> StoredResult:
                                f'{type(error).__name__} {" ".join(str(error).split())}') from None
 
 
-def _stored(name: str, found: Mapping[str, Any], of: Detector | None) -> StoredResult:
+def stored(name: str, found: Mapping[str, Any], of: Detector | None = None) -> StoredResult:
+    """Return what a RESULT.json has found, under a name.
+
+    ValueError, LookupError or TypeError where it is none.
+    """
     if 'intrinsics' not in found:
         raise ValueError('of a recording is wanted, with intrinsics and covariance; that of still '
                          'images has a model of its own' if 'parameters' in found
