@@ -31,18 +31,18 @@ left out. After Triggs et al., *Bundle Adjustment: A Modern Synthesis*, 2000.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core import camera, robust, rotation
+from starcal_ros.core import robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.core.camera import INTRINSICS_SCALE
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.core.units import ARCSEC
 
-_F = 2                  # of the intrinsics
-_OWN_UNIT = INTRINSICS_SCALE[_F]
+_F = 2                  # of the values of every lens model
 
 MIN_STARS = 2
 """Observations that a frame must have: two fix its attitude."""
@@ -53,6 +53,7 @@ _OWN_CONVERGED = 1e-6   # of the unit of the focal length: a hundred-thousandth 
 _HALVINGS = 8
 _BEHIND_PX = 1e6        # residual of a star that the camera can not see: no weight is left
 _WIDTH = 3.0            # of the robust weight
+_SINGULAR, _ROUNDING = 1e-10, 1e-16     # least eigenvalue over the largest
 _PINNED = 1e-3 * ARCSEC     # sigma of an attitude that is held
 
 
@@ -86,9 +87,9 @@ class Adjusted:
 
     Attributes
     ----------
-    intrinsics : (7,) array
-        Camera, as in `starcal_ros.core.camera`.
-    covariance : (7, 7) array
+    intrinsics : (p,) array
+        Camera: the values of its lens model.
+    covariance : (p, p) array
         Of its errors for the stated sigmas; zero where not free.
     C_si : (n, 3, 3) array
         Attitude of each frame.
@@ -102,7 +103,7 @@ class Adjusted:
         Size of the residuals of the spots used over what the stated sigmas promise.
     freedom : int
         Numbers of the spots used, less what was fitted to them.
-    own_f_mm, own_f_sigma_mm : (n,) array or None
+    own_f : (n, 2) array or None
         Focal length of each frame and its sigma, Eq. (B.3), where each has its own; that of
         `intrinsics` is their mean.
     """
@@ -115,45 +116,61 @@ class Adjusted:
     used: Mask
     scale: float
     freedom: int
-    own_f_mm: Array | None = None
-    own_f_sigma_mm: Array | None = None
+    own_f: Array | None = None
 
     def intrinsics_of(self, frame: Ints) -> Array:
-        """Return the camera (m, 7) of some frames (m)."""
+        """Return the camera (m, p) of some frames (m)."""
         every = np.tile(self.intrinsics, (len(frame), 1))
-        if self.own_f_mm is not None:
-            every[:, _F] = self.own_f_mm[frame]
+        if self.own_f is not None:
+            every[:, _F] = self.own_f[frame, 0]
         return every
 
 
-def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, pitch_mm: float,
-           prior_covariance: Array, gate: float, own_f_sigma_mm: float = 0.0) -> Adjusted:
+def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, lens: LensModel,
+           prior_covariance: Array, gate: float, own_f_sigma: float = 0.0,
+           widths: Sequence[float] = (_WIDTH,), mean: Array | None = None,
+           iterations: int = _ITERATIONS) -> Adjusted:
     """Fit camera, attitudes and unknown directions.
 
     Parameters
     ----------
     spots : Observations
-    intrinsics : (7,) array
-        Where to begin, and the mean of the prior.
+    intrinsics : (p,) array
+        Where to begin.
     C_si : (n, 3, 3) array
         Where to begin.
     points : (p, 3) array
         Where to begin; each is seen in two frames at least.
-    pitch_mm : float
-        Pixel pitch [mm].
-    prior_covariance : (7, 7) array
+    lens : LensModel
+        What the camera is.
+    prior_covariance : (p, p) array
         Of the prior; an intrinsic of variance 0 is held.
     gate : float
         Largest chi-square of a spot, two degrees of freedom, in units of the residuals' scale.
-    own_f_sigma_mm : float
+    own_f_sigma : float
         By how much the focal length of each frame may differ from the prior's mean, where each
-        has its own [mm]; 0 where all have the camera's. All directions are known then.
+        has its own, in the unit of the lens; 0 where all have the camera's. All directions are
+        known then.
+    widths : sequence of float
+        Of the robust weight, one fit after the other; wide ones first where the start may be so
+        far off that most of the field would count for wrong spots.
+    mean : (p,) array, optional
+        Of the prior; where it begins unless it is given.
+    iterations : int
+        For each width, at most.
     """
-    problem = _Problem(spots, intrinsics, pitch_mm, prior_covariance, own_f_sigma_mm)
-    state = _State(intrinsics, C_si, points, np.zeros(len(C_si)))
+    mean = intrinsics if mean is None else mean
+    own = np.zeros(len(C_si))
+    if own_f_sigma:     # told from the mean of the prior, which stays
+        own += intrinsics[_F] - mean[_F]
+        intrinsics = np.concatenate((intrinsics[:_F], mean[_F:_F + 1], intrinsics[_F + 1:]))
+    problem = _Problem(spots, mean, lens, prior_covariance, own_f_sigma)
+    state = _State(intrinsics, C_si, points, own)
     used: Mask = np.ones(len(spots.frame), bool)
-    for resisting in (True, False):
-        state, scale = _settle(problem, state, used, resisting)
+    for width in widths[:-1]:
+        state, _ = _settle(problem, state, used, width, iterations)
+    for last in (widths[-1], None):
+        state, scale = _settle(problem, state, used, last, iterations)
         residual = problem.residual(state)
         length = np.linalg.norm(residual, axis=-1) / spots.sigma
         used = _enough(spots.frame, length**2 <= gate * scale**2)
@@ -161,7 +178,7 @@ def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, p
     normal = problem.normal(state, weight)
     found = Adjusted(state.intrinsics, normal.camera_covariance(), state.C_si, state.points,
                      residual, used, scale, problem.freedom(used))
-    return _with_own(found, state, normal) if own_f_sigma_mm else found
+    return _with_own(found, state, normal) if own_f_sigma else found
 
 
 def _with_own(found: Adjusted, state: _State, normal: _Normal) -> Adjusted:
@@ -172,28 +189,32 @@ def _with_own(found: Adjusted, state: _State, normal: _Normal) -> Adjusted:
     intrinsics[_F] = own.mean()
     covariance[_F, :] = covariance[:, _F] = with_camera.mean(axis=0)
     covariance[_F, _F] = of_frames.mean()
-    return replace(found, intrinsics=intrinsics, covariance=covariance, own_f_mm=own,
-                   own_f_sigma_mm=np.sqrt(np.diag(of_frames)))
+    return replace(found, intrinsics=intrinsics, covariance=covariance,
+                   own_f=np.stack((own, np.sqrt(np.diag(of_frames))), axis=-1))
 
 
 class _State(NamedTuple):
     intrinsics: Array
     C_si: Array
     points: Array
-    own: Array = np.empty(0)    # by how much the focal length of a frame is not the camera's [mm]
+    own: Array = np.empty(0)    # by how much the focal length of a frame is not the prior's
 
 
-def _settle(problem: _Problem, state: _State, used: Mask, resisting: bool) -> tuple[_State, float]:
-    """Iterate to the minimum; return it and the scale of the residuals."""
+def _settle(problem: _Problem, state: _State, used: Mask, width: float | None,
+            iterations: int) -> tuple[_State, float]:
+    """Iterate to the minimum; return it and the scale of the residuals.
+
+    All spots used count alike where there is no width.
+    """
     sigma = problem.spots.sigma
     residual = problem.residual(state)
     scale = 1.0
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         length = np.linalg.norm(residual, axis=-1) / sigma
         scale = max(robust.scale_of(length[used]), 1e-9)
         weight = np.where(used, 1.0 / sigma, 0.0)
-        if resisting:
-            weight = weight / robust.sigma_factor(length, scale, _WIDTH)
+        if width is not None:
+            weight = weight / robust.sigma_factor(length, scale, width)
         normal = problem.normal(state, weight, residual)
         step = normal.solve()
         cost = _cost(residual, weight, problem, state)
@@ -215,7 +236,7 @@ def _settle(problem: _Problem, state: _State, used: Mask, resisting: bool) -> tu
 def _cost(residual: Array, weight: Array, problem: _Problem, state: _State) -> float:
     misfit = np.sum((residual * weight[:, None])**2)
     return float(misfit + np.sum((problem.prior @ problem.offset(state))**2)
-                 + problem.own_information * np.sum((state.own / _OWN_UNIT)**2))
+                 + problem.own_information * np.sum((state.own / problem.own_unit)**2))
 
 
 def _enough(frame: Ints, used: Mask) -> Mask:
@@ -233,15 +254,15 @@ class _Step(NamedTuple):
 class _Problem:
     """The spots and the prior; residuals and normal equations of a state."""
 
-    def __init__(self, spots: Observations, mean: Array, pitch_mm: float,
-                 prior_covariance: Array, own_f_sigma_mm: float = 0.0) -> None:
-        self.spots, self.mean, self.pitch_mm = spots, mean, pitch_mm
+    def __init__(self, spots: Observations, mean: Array, lens: LensModel,
+                 prior_covariance: Array, own_f_sigma: float = 0.0) -> None:
+        self.spots, self.mean, self.lens = spots, mean, lens
         self.free = np.diag(prior_covariance) > 0.0
-        self.own_information = 0.0
-        if own_f_sigma_mm:
+        self.own_information, self.own_unit = 0.0, float(lens.scale[_F])
+        if own_f_sigma:
             self.free[_F] = False
-            self.own_information = (_OWN_UNIT / own_f_sigma_mm)**2
-        self.scale = INTRINSICS_SCALE[self.free]
+            self.own_information = (self.own_unit / own_f_sigma)**2
+        self.scale = lens.scale[self.free]
         block = prior_covariance[np.ix_(self.free, self.free)] / np.outer(self.scale, self.scale)
         self.prior = np.linalg.inv(np.linalg.cholesky(block))       # a root of the information
         self.first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
@@ -284,11 +305,11 @@ class _Problem:
         """Return the directions in s, and which lie ahead; others become the boresight."""
         u = self.directions(state)
         r_s = (state.C_si[self.spots.frame] @ u[..., None])[..., 0]
-        ahead = r_s[:, 2] > 0.1
+        ahead = self.lens.ahead(r_s)
         return np.where(ahead[:, None], r_s, (0.0, 0.0, 1.0)), ahead
 
     def cameras(self, state: _State) -> Array:
-        """Return the camera, (7,), or that of each spot, (m, 7)."""
+        """Return the camera, (p,), or that of each spot, (m, p)."""
         if not self.own_information:
             return state.intrinsics
         every = np.tile(state.intrinsics, (len(self.spots.frame), 1))
@@ -297,7 +318,7 @@ class _Problem:
 
     def residual(self, state: _State) -> Array:
         r_s, ahead = self.sight(state)
-        uv = camera.project(r_s[:, None], self.cameras(state), self.pitch_mm)[:, 0]
+        uv = self.lens.project(r_s[:, None], self.cameras(state))[:, 0]
         return np.where(ahead[:, None], self.spots.uv - uv, _BEHIND_PX)
 
     def moved(self, state: _State, step: _Step) -> _State:
@@ -306,7 +327,7 @@ class _Problem:
         if len(points):
             points = points - (_tangent(points) @ step.point[..., None])[..., 0]
             points /= np.linalg.norm(points, axis=-1, keepdims=True)
-        own = step.attitude[:, 3] * _OWN_UNIT if self.own_information else 0.0
+        own = step.attitude[:, 3] * self.own_unit if self.own_information else 0.0
         return _State(state.intrinsics - step.camera,
                       rotation.orthonormalized(rotation.exp(-step.attitude[:, :3]) @ state.C_si),
                       points, state.own - own)
@@ -314,11 +335,11 @@ class _Problem:
     def normal(self, state: _State, weight: Array, residual: Array | None = None) -> _Normal:
         spots, p = self.spots, len(state.points)
         r_s, _ = self.sight(state)
-        _, H_a, H_c = (each[:, 0] for each in camera.linearize(
-            r_s[:, None], self.cameras(state), self.pitch_mm))
+        _, H_a, H_c = (each[:, 0] for each in self.lens.linearize(
+            r_s[:, None], self.cameras(state)))
         w = weight[:, None, None]
         if self.own_information:
-            H_a = np.concatenate((H_a, H_c[..., _F:_F + 1] * _OWN_UNIT), axis=-1)
+            H_a = np.concatenate((H_a, H_c[..., _F:_F + 1] * self.own_unit), axis=-1)
         H_a, H_c = w * H_a, w * H_c[..., self.free] * self.scale
         z = np.zeros((len(weight), 2)) if residual is None else -residual * weight[:, None]
 
@@ -328,7 +349,7 @@ class _Problem:
         N_aa, b_a = per_frame(H_a, H_a), per_frame(H_a, z[..., None])[..., 0]
         if self.own_information:
             N_aa[:, 3, 3] += self.own_information
-            b_a[:, 3] += self.own_information * state.own / _OWN_UNIT
+            b_a[:, 3] += self.own_information * state.own / self.own_unit
         else:
             N_aa[self.pinned] += np.eye(3) / _PINNED**2
         known = self.prior.T @ self.prior
@@ -341,8 +362,8 @@ class _Problem:
             T = state.C_si[spots.frame[d]] @ _tangent(state.points[spots.point[d]])
             # A rotation by r x dr moves r by dr.
             H_d = H_a[d] @ np.cross(r_s[d, :, None], T, axis=1)
-        return _Normal(N_aa, per_frame(H_a, H_c), b_a, N_cc, b_c, self.free, _Points(
-            spots.frame[d], spots.point[d], p, H_d, H_a[d], H_c[d], z[d]))
+        return _Normal(N_aa, per_frame(H_a, H_c), b_a, N_cc, b_c, self.free, self.lens.scale,
+                       _Points(spots.frame[d], spots.point[d], p, H_d, H_a[d], H_c[d], z[d]))
 
 
 class _Points(NamedTuple):
@@ -361,14 +382,14 @@ class _Normal:
     """The normal equations of one state, attitudes eliminated, Eq. (B.2)."""
 
     def __init__(self, N_aa: Array, N_ac: Array, b_a: Array, N_cc: Array, b_c: Array, free: Mask,
-                 points: _Points) -> None:
+                 scale: Array, points: _Points) -> None:
         # Whitened by the attitude block, N_xa N_aa^-1 N_ax is a square.
         self._L = np.linalg.cholesky(N_aa)
         whitened = np.linalg.solve(self._L, np.concatenate((N_ac, b_a[..., None]), axis=-1))
         self._ac, self._a = whitened[..., :-1], whitened[..., -1]
         self._S = N_cc - np.einsum('nij,nik->jk', self._ac, self._ac)
         self._b = b_c - np.einsum('nij,ni->j', self._ac, self._a)
-        self._free, self._p = free, points.size
+        self._free, self._scale, self._p = free, scale, points.size
         if points.size:
             self._with_points(points)
 
@@ -409,16 +430,15 @@ class _Normal:
             d = self._factor.solve(self._d - self._dc @ c)
             a = a - (self._ad @ d).reshape(-1, 3)
         attitude = np.linalg.solve(np.swapaxes(self._L, -1, -2), a[..., None])[..., 0]
-        step = np.zeros(7)
-        step[self._free] = c * INTRINSICS_SCALE[self._free]
+        step = np.zeros(len(self._free))
+        step[self._free] = c * self._scale[self._free]
         return _Step(step, attitude, d.reshape(-1, 2))
 
     def camera_covariance(self) -> Array:
-        """Return the covariance of the intrinsics, (7, 7)."""
-        scale = INTRINSICS_SCALE[self._free]
-        covariance = np.zeros((7, 7))
-        covariance[np.ix_(self._free, self._free)] = np.linalg.inv(self._S) * np.outer(
-            scale, scale)
+        """Return the covariance of the intrinsics, (p, p)."""
+        scale = self._scale[self._free]
+        covariance = np.zeros((len(self._free),) * 2)
+        covariance[np.ix_(self._free, self._free)] = _inverse(self._S) * np.outer(scale, scale)
         return covariance
 
     def own_covariance(self) -> tuple[Array, Array]:
@@ -427,18 +447,26 @@ class _Normal:
         Returns
         -------
         of_frames : (n, n) array
-            Of each with each [mm^2].
-        with_camera : (n, 7) array
+            Of each with each, in the unit of the lens.
+        with_camera : (n, p) array
             With the intrinsics.
         """
-        unit, scale = np.zeros((4, 1)), INTRINSICS_SCALE[self._free]
+        unit, scale = np.zeros((4, 1)), self._scale[self._free]
         unit[3] = 1.0
         whitened = np.linalg.solve(self._L, np.broadcast_to(unit, (len(self._L), 4, 1)))[..., 0]
         g = np.einsum('ni,nij->nj', whitened, self._ac)
-        shared = np.linalg.solve(self._S, g.T).T if len(scale) else g
-        with_camera = np.zeros((len(g), 7))
-        with_camera[:, self._free] = -_OWN_UNIT * shared * scale
-        return (np.diag(np.sum(whitened**2, axis=1)) + shared @ g.T) * _OWN_UNIT**2, with_camera
+        shared, f = g @ _inverse(self._S), self._scale[_F]
+        with_camera = np.zeros((len(g), len(self._free)))
+        with_camera[:, self._free] = -f * shared * scale
+        return (np.diag(np.sum(whitened**2, axis=1)) + shared @ g.T) * f**2, with_camera
+
+
+def _inverse(information: Array) -> Array:
+    """Return a covariance, positive however little is known of a part of it."""
+    values, V = np.linalg.eigh(information)
+    if not len(values) or values[0] > _SINGULAR * values[-1]:
+        return np.asarray(np.linalg.inv(information))
+    return np.asarray((V / np.maximum(values, _ROUNDING * values[-1])) @ V.T)
 
 
 def _tangent(u: Array) -> Array:

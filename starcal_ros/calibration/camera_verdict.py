@@ -28,8 +28,10 @@ from starcal_ros.calibration import held_camera, residual_tests
 from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import detector, of_intrinsics, own_focal_sigma_mm, star_gate
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.filter.verdict import INCONSISTENT, NOT_YET
 from starcal_ros.measurements.samples import Frames
@@ -86,6 +88,8 @@ class CameraVerdict:
         Keys of the intrinsics of which the stars tell less than was assumed beforehand.
     is_prior : bool
         Whether the focal length, or all that is estimated, is among them.
+    about_lens : str
+        What other lens models say, where they were tried.
     """
 
     consistency: Consistency
@@ -93,6 +97,7 @@ class CameraVerdict:
     outside: tuple[str, ...]
     assumed: tuple[str, ...] = ()
     is_prior: bool = False
+    about_lens: str = ''
 
     @property
     def word(self) -> str:
@@ -106,6 +111,9 @@ class CameraVerdict:
         """What to do, or to look at."""
         failed = self.consistency.failed
         said = [*dict.fromkeys(_ADVICE[each.name] for each in failed if each.name in _ADVICE)]
+        # With the air of another time no lens is what it seems.
+        if failed and self.about_lens and all(each.name != residual_tests.AIR for each in failed):
+            said.insert(0, self.about_lens)
         if self.assumed:
             said.append(
                 ('the estimate is what was assumed before the data: ' if self.is_prior else '')
@@ -142,25 +150,27 @@ def judge(found: Consistency, estimate: CameraEstimate, scenario: Scenario) -> C
     outside = tuple(key for key, sigma in zip(INTRINSICS_KEYS, estimate.sigma)
                     if sigma > tolerance[key])
     return CameraVerdict(found, tolerance, outside,
-                         *of_prior(estimate, scenario, dict(zip(INTRINSICS, INTRINSICS_KEYS))))
+                         *of_prior(estimate, of_intrinsics(scenario.estimator.initial_sigma),
+                                   INTRINSICS, dict(zip(INTRINSICS, INTRINSICS_KEYS))))
 
 
-def of_prior(estimate: CameraEstimate, scenario: Scenario, keys: Mapping[str, str]
-             ) -> tuple[tuple[str, ...], bool]:
+def of_prior(estimate: CameraEstimate, before: Array, names: tuple[str, ...],
+             keys: Mapping[str, str]) -> tuple[tuple[str, ...], bool]:
     """Return what of a camera the prior tells more than the stars do, `assumed` and `is_prior`.
 
     Parameters
     ----------
     estimate : CameraEstimate
-    scenario : Scenario
-        With ``estimator.initial_sigma``.
+    before : (p,) array
+        Sigmas before any star was seen.
+    names : tuple of str
+        The parameters of the lens model.
     keys : mapping
-        What each of the intrinsics is called.
+        What each of them is called, in the order to tell them.
     """
-    before = of_intrinsics(scenario.estimator.initial_sigma)
     free = estimate.sigma > 0.0
     still = free & (estimate.sigma**2 > ASSUMED * before**2)
-    named = [name for name, is_still in zip(INTRINSICS, still) if is_still]
+    named = [name for name, is_still in zip(names, still) if is_still]
     return (tuple(key for name, key in keys.items() if name in named),
             'f' in named or bool(named) and len(named) == int(free.sum()))
 
@@ -196,7 +206,7 @@ def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
     try:
         fitted = held_camera.fit(
             frames.take(enough), found.take(enough[frames.frame_index]), estimate.intrinsics,
-            scenario.camera.pixel_pitch_mm, gate, own_focal_sigma_mm(scenario))
+            Tan2018Lens(scenario.camera.pixel_pitch_mm), gate, own_focal_sigma_mm(scenario))
     except np.linalg.LinAlgError:
         fitted = None
     if fitted is None:

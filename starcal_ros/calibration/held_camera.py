@@ -11,8 +11,8 @@ import numpy as np
 from starcal_ros.calibration import bundle_adjustment, bundle_start, residual_tests
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.calibration.residual_tests import FittedStars
-from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
 
@@ -38,8 +38,8 @@ class HeldFit(NamedTuple):
     catalog_id: Ints
 
 
-def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: float,
-        own_f_sigma_mm: float = 0.0) -> HeldFit | None:
+def fit(frames: Frames, stars: Stars, intrinsics: Array, lens: LensModel, gate: float,
+        own_f_sigma: float = 0.0) -> HeldFit | None:
     """Fit the attitudes alone, or with their focal lengths; None where no frame has enough stars.
 
     Parameters
@@ -47,21 +47,21 @@ def fit(frames: Frames, stars: Stars, intrinsics: Array, pitch_mm: float, gate: 
     frames : Frames
     stars : Stars
         Their stars, as of `StarDirections.of`.
-    intrinsics : (7,) array
+    intrinsics : (p,) array
         The camera that is held.
-    pitch_mm : float
-        Pixel pitch [mm].
-    gate, own_f_sigma_mm : float
+    lens : LensModel
+        What it is.
+    gate, own_f_sigma : float
         As for `bundle_adjustment.adjust`.
     """
     spots = bundle_start.identified(frames, stars)
     if not len(spots.frame):
         return None
-    r_s = camera.unproject(spots.uv, intrinsics, pitch_mm)
+    r_s = lens.unproject(spots.uv, intrinsics)
     adjusted = bundle_adjustment.adjust(
-        spots, intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), pitch_mm,
-        np.zeros((7, 7)), gate, own_f_sigma_mm)
+        spots, intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)), lens,
+        np.zeros((len(intrinsics),) * 2), gate, own_f_sigma)
     known = catalog.load_containing(frames.catalog_id)
     number = frames.catalog_id[bundle_start.usable(frames, stars)]
     return HeldFit(spots, adjusted, residual_tests.fitted_stars(
-        spots, adjusted, known.magnitude[known.rows(number)], pitch_mm), number)
+        spots, adjusted, known.magnitude[known.rows(number)], lens), number)

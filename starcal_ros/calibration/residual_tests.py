@@ -42,16 +42,17 @@ and attitudes leave of the pattern of amplitude 1. What they explain is not foun
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
 
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
-from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.core.camera import INTRINSICS_SCALE, Detector
+from starcal_ros.core.camera import Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.distributions import chi2_ppf, f_isf, f_ppf
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.core.statistic import ALARM, Statistic
 from starcal_ros.filter.innovation_tests import MARGIN
 
@@ -101,8 +102,10 @@ class FittedStars(NamedTuple):
     by_attitude : (n, 2, 3) or (n, 2, 4) array
         d (predicted centroid) / d rotation, in sigmas; and by the focal length that a frame has
         for itself, where it has one.
-    by_camera : (n, 2, 7) array
-        The same by the intrinsics, in units of INTRINSICS_SCALE.
+    by_camera : (n, 2, p) array
+        The same by the intrinsics, in units of `scale`.
+    scale : (p,) array
+        That of the lens model.
     rejected : int
         Stars that the gate took.
     """
@@ -114,6 +117,7 @@ class FittedStars(NamedTuple):
     z: Array
     by_attitude: Array
     by_camera: Array
+    scale: Array
     rejected: int
 
 
@@ -128,7 +132,7 @@ class Consistency:
         How much larger than stated the variances of the centroids are; None where nothing is
         stated, or too little is known.
     camera_factors : tuple of float
-        By what the variance of each of the seven intrinsics is to be multiplied to be believed; 1
+        By what the variance of each of the intrinsics is to be multiplied to be believed; 1
         where all tests pass.
     why : str
         Why there is no statistic, if there is none.
@@ -145,7 +149,8 @@ class Consistency:
         factor = self.centroid_factor
         return Consistency(
             statistics, other.centroid_factor if factor is None else factor,
-            tuple(map(max, self.camera_factors, other.camera_factors)),
+            tuple(max(pair) for pair in zip_longest(
+                self.camera_factors, other.camera_factors, fillvalue=1.0)),
             '' if statistics else other.why or self.why)
 
     @property
@@ -154,7 +159,7 @@ class Consistency:
         return tuple(each for each in self.statistics if not each.passed)
 
 
-def fitted_stars(spots: Observations, adjusted: Adjusted, magnitude: Array, pitch_mm: float
+def fitted_stars(spots: Observations, adjusted: Adjusted, magnitude: Array, lens: LensModel
                  ) -> FittedStars:
     """Return the stars inside the gate, linearised at their camera.
 
@@ -166,22 +171,22 @@ def fitted_stars(spots: Observations, adjusted: Adjusted, magnitude: Array, pitc
         Their fit.
     magnitude : (m,) array
         Of each spot, NaN where it is not known.
-    pitch_mm : float
-        Pixel pitch [mm].
+    lens : LensModel
+        What the camera is.
     """
     used = adjusted.used
     frame, sigma = spots.frame[used], spots.sigma[used]
     r_s = adjusted.C_si[frame] @ spots.u_i[used][..., None]
-    uv, by_attitude, by_camera = (each[:, 0] for each in camera.linearize(
-        np.swapaxes(r_s, 1, 2), adjusted.intrinsics_of(frame), pitch_mm))
+    uv, by_attitude, by_camera = (each[:, 0] for each in lens.linearize(
+        np.swapaxes(r_s, 1, 2), adjusted.intrinsics_of(frame)))
     weight = (1.0 / sigma)[:, None, None]
-    by_attitude, by_camera = weight * by_attitude, weight * by_camera * INTRINSICS_SCALE
-    if adjusted.own_f_mm is not None:       # it goes with the attitude
+    by_attitude, by_camera = weight * by_attitude, weight * by_camera * lens.scale
+    if adjusted.own_f is not None:       # it goes with the attitude
         by_attitude = np.concatenate((by_attitude, by_camera[..., 2:3]), axis=-1)
         by_camera[..., 2] = 0.0
     return FittedStars(
         frame, uv, sigma, magnitude[used], adjusted.residual[used] / sigma[:, None],
-        by_attitude, by_camera, int((~used).sum()))
+        by_attitude, by_camera, lens.scale, int((~used).sum()))
 
 
 def consistency(stars: FittedStars, estimate: CameraEstimate, detector: Detector, gated: float,
@@ -218,7 +223,7 @@ def consistency(stars: FittedStars, estimate: CameraEstimate, detector: Detector
     found, factors = [], [np.full(int(free.sum()), variance)]
     if margin is not None:
         found.append(_level(variance / stated, left.freedom, margin))
-    C = (estimate.covariance / np.outer(INTRINSICS_SCALE, INTRINSICS_SCALE))[np.ix_(free, free)]
+    C = (estimate.covariance / np.outer(stars.scale, stars.scale))[np.ix_(free, free)]
     more = max(1.0, estimate.stars / len(stars.frame))      # stars that show the same pattern
     for name, directions in _patterns(stars, estimate, detector, by_camera):
         looked = left.pattern(name, directions, None if walks else C)
@@ -242,7 +247,7 @@ def consistency(stars: FittedStars, estimate: CameraEstimate, detector: Detector
         found += _held_out(heldout, C, free, variance * gated, left.freedom)
     total = len(stars.frame) + stars.rejected
     found.append(Statistic(REJECTIONS, stars.rejected / total, 0.0, REJECTED, total))
-    factor = np.ones(7)
+    factor = np.ones(len(free))
     if not all(each.passed for each in found):
         factor[free] = np.max(factors, axis=0)
     return Consistency(tuple(found), None if margin is None else variance / stated,
@@ -378,12 +383,20 @@ def _held_out(stars: FittedStars, C: Array, free: Mask, variance: float, freedom
     if own.freedom < _LEAST:
         return []
     H = own._turned_out(stars.by_camera[..., free]).reshape(len(own._z), -1)
-    root = np.linalg.cholesky(C + 1e-30 * np.eye(len(C)))
-    M = H @ root
+    M = H @ _root(C)
     b = M.T @ own._z
     squares = own.squares - float(b @ np.linalg.solve(np.eye(len(C)) + M.T @ M, b))
     return [Statistic(HELD_OUT, squares / own.freedom / variance, 0.0,
                       float(f_isf(ALARM, own.freedom, freedom)) * MARGIN, own.freedom)]
+
+
+def _root(C: Array) -> Array:
+    """Return a matrix whose square, times its transpose, is a covariance."""
+    try:
+        return np.asarray(np.linalg.cholesky(C + 1e-30 * np.eye(len(C))))
+    except np.linalg.LinAlgError:       # of parameters that do nearly the same
+        values, V = np.linalg.eigh(C)
+        return np.asarray(V * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _patterns(stars: FittedStars, estimate: CameraEstimate, detector: Detector, by_camera: Array

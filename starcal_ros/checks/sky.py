@@ -23,6 +23,7 @@ from starcal_ros.config.models import detector, intrinsics, observer, of_intrins
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.core.units import NS
 from starcal_ros.measurements.samples import Frames, Stars
 from starcal_ros.sky import catalog
@@ -173,17 +174,17 @@ def _begin(spots: Observations, scenario: Scenario) -> tuple[Array, bool]:
 
 def _fitted(spots: Observations, begin: Array, scenario: Scenario) -> Adjusted:
     """Fit the camera: first what a shift and a scale explain, then the lens too."""
-    pitch_mm = scenario.camera.pixel_pitch_mm
+    lens = Tan2018Lens(scenario.camera.pixel_pitch_mm)
     sigma = of_intrinsics(scenario.estimator.initial_sigma)
     half = 0.5 * np.array([scenario.camera.width, scenario.camera.height])
     wide = np.maximum(_WIDE * sigma, np.array([*half, begin[2], 0.0, 0.0, 0.0, 0.0]))
     gate = star_gate(scenario.estimator)
     first = np.diag([wide[0]**2, wide[1]**2, wide[2]**2, 0.0, 0.0, 0.0, 0.0])
-    r_s = camera.unproject(spots.uv, begin, pitch_mm)
+    r_s = lens.unproject(spots.uv, begin)
     C_si = bundle_start.attitudes(spots, r_s)
-    rough = bundle_adjustment.adjust(spots, begin, C_si, np.empty((0, 3)), pitch_mm, first, gate)
+    rough = bundle_adjustment.adjust(spots, begin, C_si, np.empty((0, 3)), lens, first, gate)
     found = bundle_adjustment.adjust(spots, rough.intrinsics, rough.C_si, np.empty((0, 3)),
-                                     pitch_mm, np.diag(wide**2), gate)
+                                     lens, np.diag(wide**2), gate)
     if found.used.mean() < _PART or not 0.0 < found.scale * np.median(spots.sigma) < (
             0.02 * half.max()):
         raise NoSkyError(f'{int((~found.used).sum())} of {len(found.used)} stars are not where '

@@ -14,6 +14,7 @@ from starcal_ros.cli import outputs
 from starcal_ros.cli.terminal import progress, say, show
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import stamp_ns
+from starcal_ros.core.lenses import NAMES, PLUMB_BOB
 from starcal_ros.files.output import same
 
 if TYPE_CHECKING:
@@ -22,9 +23,10 @@ if TYPE_CHECKING:
     from starcal_ros.workflows.still_images.measured import Measured
     from starcal_ros.workflows.still_images.pipeline import Calibrated, Conditions, Source
 
+_LENSES = (*NAMES, 'auto')
 _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars', 'annotate', 'utc_offset')
-_OF_BOTH = ('fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report',
+_OF_BOTH = ('lens', 'fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report',
             'light_report')
 
 
@@ -35,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     images.add_argument('--fov', metavar='DEG', type=float,
                         help='field of view across the width, for IMAGES to 10 %%; default: found '
                         'from the file (EXIF, FITS), or from the stars (1 to 105 deg)')
+    images.add_argument('--lens', choices=_LENSES, metavar='NAME',
+                        help=f'lens model of the method bundle ({", ".join(_LENSES)}); auto: that '
+                        'which predicts stars best; default: plumb_bob')
     images.add_argument('--epoch', metavar='TIME',
                         help='when they were taken, ISO 8601, UTC, whatever their files say '
                         '(DATE-OBS of FITS, EXIF); where neither tells: 2020, for the proper '
@@ -149,11 +154,12 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
                                     for name, why in source.left_out.items())):
         say(f'warning: {text}')
     with progress('calibrating') as on_progress:
-        first = pipeline.calibrate(source, parameters=given)
+        first = pipeline.calibrate(source, parameters=given, lens=_lens(options))
         on_progress(1.0)
     found, outcome = first
     _show(source, outcome, bool(source.others))
-    others = [each for other in source.others if (each := _other(other, given)) is not None]
+    others = [each for other in source.others
+              if (each := _other(other, given, _lens(options))) is not None]
     if source.others:
         outcome['other_cameras'] = [each.outcome for each in others]
     drawn = _drawn(options, source.measured, (first, *others), source.left_out)
@@ -164,6 +170,10 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
         write.write(still_images_page(found, outcome, [*source.notices, *doubts], options.line,
                                       drawn), options.report, options.light_report)
     return outcome
+
+
+def _lens(options: argparse.Namespace) -> str:
+    return options.lens or PLUMB_BOB
 
 
 def _drawn(options: argparse.Namespace, images: Sequence[Measured],
@@ -190,14 +200,14 @@ def _drawn(options: argparse.Namespace, images: Sequence[Measured],
     return drawn
 
 
-def _other(source: Source, given: dict[str, Any]) -> Calibrated | None:
+def _other(source: Source, given: dict[str, Any], lens: str) -> Calibrated | None:
     """Calibrate and show another camera of the folder; None where that is not possible."""
     from starcal_ros.results.result import CalibrationError
     from starcal_ros.workflows.still_images import pipeline
     for text in source.notices:
         say(f'warning: {text}')
     try:
-        calibrated = pipeline.calibrate(source, parameters=given)
+        calibrated = pipeline.calibrate(source, parameters=given, lens=lens)
     except CalibrationError as error:
         say(f'warning: {source.label}: {error}')
         return None

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.config.models import detector
-from starcal_ros.core import camera
+from starcal_ros.core import lenses
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.report import sky_grid
 from starcal_ros.sky import catalog
 from starcal_ros.sky.star_names import name_of
@@ -35,7 +36,6 @@ Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
 _STAR, _REFUSED, _SPOT, _UNFIT, _GRID = '#40ff60', '#ff4040', '#ffe060', '#ff9020', '#5080c0'
 _NAMED = 25             # the brightest stars have their names beside them
 _BRIGHT, _NEAR_PX = 6.0, 5.0    # Hp of a star that an unfit spot may be, and how near
-_AHEAD = 0.2            # least cosine from the line of sight
 _RADIUS, _TEXT = 9, 13
 _LOW, _HIGH, _GAMMA = 60.0, 99.8, 0.7      # percentiles that become black and white
 
@@ -53,7 +53,9 @@ class ImageSky(NamedTuple):
         Which were not refused.
     C_si : (3, 3) array
         Attitude.
-    intrinsics : (7,) array
+    intrinsics : (p,) array
+        With the focal length that the image has for itself, where it has one.
+    lens : LensModel
     pixels : Detector
     flipped : bool
         Whether all of this is of the image flipped, top to bottom.
@@ -64,6 +66,7 @@ class ImageSky(NamedTuple):
     used: Mask
     C_si: Array
     intrinsics: Array
+    lens: LensModel
     pixels: Detector
     flipped: bool
 
@@ -101,8 +104,8 @@ def skies(found: StillImageCamera, flipped: bool) -> dict[str, ImageSky]:
             mine = refit.spots.frame == k
             skies_[name] = ImageSky(
                 refit.spots.uv[mine] + pixels.centre_raster, refit.catalog_id[mine],
-                refit.adjusted.used[mine], refit.adjusted.C_si[k], found.estimate.intrinsics,
-                pixels, flipped)
+                refit.adjusted.used[mine], refit.adjusted.C_si[k],
+                refit.adjusted.intrinsics_of(np.array([k]))[0], found.lens, pixels, flipped)
     return skies_
 
 
@@ -155,7 +158,7 @@ def _drawn(counts: NDArray[np.float32], image: Measured, sky: ImageSky | None, t
         return [(u, v) for u, v in ((uv_raster + 0.5) * scale).tolist()]
 
     if sky is not None:
-        for line in sky_grid.lines(sky.C_si, sky.intrinsics, sky.pixels):
+        for line in sky_grid.lines(sky.C_si, sky.intrinsics, sky.lens, sky.pixels):
             points = at(line.uv_raster)
             draw.line(points, fill=_GRID)
             if inside := [point for point in points
@@ -191,8 +194,8 @@ def _unfit_stars(spots: Array, sky: ImageSky) -> Iterator[tuple[Array, int]]:
     u_i = np.stack((np.cos(stars.dec) * np.cos(stars.ra), np.cos(stars.dec) * np.sin(stars.ra),
                     np.sin(stars.dec)), axis=-1)
     r_s = u_i @ sky.C_si.T
-    ahead = np.flatnonzero(r_s[:, 2] > _AHEAD)
-    uv = camera.project(r_s[ahead], sky.intrinsics, sky.pixels.pitch_mm) + sky.pixels.centre_raster
+    ahead = np.flatnonzero(lenses.in_field(sky.lens, r_s, sky.intrinsics, sky.pixels))
+    uv = sky.lens.project(r_s[ahead], sky.intrinsics) + sky.pixels.centre_raster
     for spot in spots:
         away = np.linalg.norm(uv - spot, axis=-1)
         if len(away) and away.min() < _NEAR_PX:

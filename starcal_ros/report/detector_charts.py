@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 import plotly.graph_objects as go
 
-from starcal_ros.core import camera
+from starcal_ros.core import lenses
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.distributions import normal_cdf
+from starcal_ros.core.lenses.model import LensModel
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.filter.history import Residuals
 from starcal_ros.report.chart import BARS, RED, Chart, chart
 
@@ -79,8 +81,8 @@ def residual_histograms(stars: Residuals) -> list[Chart]:
     return charts
 
 
-def distortion_map(title: str, detector: Detector, intrinsics: Array, minus: Array | None = None
-                   ) -> Chart:
+def distortion_map(title: str, detector: Detector, intrinsics: Array,
+                   minus: Array | None = None, lens: LensModel | None = None) -> Chart:
     """Return the map of a camera's distortion, or of its difference to another's.
 
     Parameters
@@ -89,17 +91,21 @@ def distortion_map(title: str, detector: Detector, intrinsics: Array, minus: Arr
         What the map shows.
     detector : Detector
         Pixels.
-    intrinsics : (7,) array
+    intrinsics : (p,) array
         Camera.
-    minus : (7,) array, optional
+    minus : (p,) array, optional
         Camera whose distortion is taken off.
+    lens : LensModel, optional
+        What both are; T18's where it is not said.
     """
+    model = lens or Tan2018Lens(detector.pitch_mm)
+
     def field(cells: int) -> tuple[Array, Array]:
         place = places(detector, cells)
         uv = place - detector.centre_raster
-        shift = camera.distortion(uv, intrinsics, detector.pitch_mm)
+        shift = lenses.distortion(model, uv, intrinsics)
         if minus is not None:
-            shift -= camera.distortion(uv, minus, detector.pitch_mm)
+            shift -= lenses.distortion(model, uv, minus)
         return place, shift
 
     return shift_map(title, field, detector)

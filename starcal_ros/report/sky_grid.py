@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core import camera
+from starcal_ros.core import lenses
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.lenses.model import LensModel
 
 _STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0)
 _LINES = 5              # across the field, at least
 _POINTS = 240           # of a line
-_AHEAD = 0.2            # least cosine from the line of sight
 
 
 class GridLine(NamedTuple):
@@ -33,19 +33,21 @@ class GridLine(NamedTuple):
     label: str
 
 
-def lines(C_si: Array, intrinsics: Array, detector: Detector) -> Iterator[GridLine]:
+def lines(C_si: Array, intrinsics: Array, lens: LensModel, detector: Detector
+          ) -> Iterator[GridLine]:
     """Yield the lines of a grid of round numbers [deg] in the field of a camera.
 
     Parameters
     ----------
     C_si : (3, 3) array
         Attitude.
-    intrinsics : (7,) array
+    intrinsics : (p,) array
+    lens : LensModel
     detector : Detector
     """
     size = np.array([detector.width, detector.height])
     corner = size / 2.0 * [[1, 1], [1, -1], [-1, 1], [-1, -1]]
-    edge = camera.unproject(corner, intrinsics, detector.pitch_mm)
+    edge = lens.unproject(corner, intrinsics)
     radius = float(np.degrees(np.arccos(np.clip(edge[:, 2].min(), -1.0, 1.0))))
     x, y, z = C_si[2]
     ra, dec = float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arcsin(z)))
@@ -58,9 +60,8 @@ def lines(C_si: Array, intrinsics: Array, detector: Detector) -> Iterator[GridLi
         a, d = np.radians(ra_deg), np.radians(dec_deg)
         u_i = np.stack((np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)), axis=-1)
         r_s = u_i @ C_si.T
-        ahead = r_s[:, 2] > _AHEAD
-        uv = camera.project(np.where(ahead[:, None], r_s, [0.0, 0.0, 1.0]), intrinsics,
-                            detector.pitch_mm)
+        ahead = lenses.in_field(lens, r_s, intrinsics, detector)
+        uv = lens.project(np.where(ahead[:, None], r_s, [0.0, 0.0, 1.0]), intrinsics)
         near = np.flatnonzero(ahead & (np.abs(uv) < 0.7 * size).all(axis=1))
         for part in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
             if len(part) > 1:

@@ -115,8 +115,9 @@ def _camera(outcome: dict[str, Any]) -> PageSection:
     return section(
         'camera', 'Camera',
         paragraph(f'{counts["images"]} images, {counts["stars"]} stars used, '
-                  f'{counts["rejected_stars"]} rejected; method {outcome["method"]}. OpenCV\'s '
-                  'forward model, (0, 0) the centre of the top-left pixel. A centroid has a sigma '
+                  f'{counts["rejected_stars"]} rejected; method {outcome["method"]}, lens '
+                  f'{outcome["lens"]}. OpenCV\'s forward model, (0, 0) the centre of the top-left '
+                  'pixel. A centroid has a sigma '
                   f'of {outcome["centroid_sigma_px"]:.4f} px in each axis, from the residuals.'),
         table(list(entry_columns(outcome)),
               [entry(outcome, key) for key in outcome['parameters']]))
@@ -181,9 +182,11 @@ def _residuals(name: str, title: str, refit: Refit, found: StillImageCamera) -> 
 def _distortion(found: StillImageCamera) -> PageSection:
     return section(
         'distortion', 'Distortion',
-        paragraph('How far the lens moves the image of a star from where a pinhole has it.'),
+        paragraph('How far the lens moves the image of a star from where the same lens without '
+                  'distortion has it.'),
         charts([detector_charts.distortion_map('Estimated', detector(found.scenario.camera),
-                                               found.estimate.intrinsics)]))
+                                               found.estimate.intrinsics,
+                                               lens=found.lens)]))
 
 
 def _coupling(outcome: dict[str, Any]) -> PageSection:
@@ -191,7 +194,7 @@ def _coupling(outcome: dict[str, Any]) -> PageSection:
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     free = sigma > 0.0
-    names = tuple(key.partition('_')[0] for key in np.array(KEYS)[free].tolist())
+    names = tuple(key.partition('_')[0] for key in np.array(outcome['parameters'])[free].tolist())
     return section(
         'coupling', 'Coupling',
         paragraph('Parameters that are strongly correlated are known together, not one by one: '

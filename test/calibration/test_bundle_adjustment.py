@@ -16,9 +16,11 @@ from starcal_ros.calibration.bundle_adjustment import Observations, adjust
 from starcal_ros.calibration.bundle_start import attitudes
 from starcal_ros.calibration.methods import bundle as bundle_method
 from starcal_ros.core import camera, rotation
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation import sensors
 
+LENS = Tan2018Lens(PITCH_MM)
 GATE, SIGMA = float(chi2.ppf(0.9999, 2)), 0.05
 PRIOR = np.array([20.0, 20.0, 0.2, 1e-3, 1e-5, 1e-4, 1e-4])
 PRIOR_P, WIDE = np.diag(PRIOR**2), np.diag((1e3 * PRIOR)**2)
@@ -57,10 +59,10 @@ def jittered(C, rng, angle=1e-3):
 def test_without_noise_the_camera_is_found_exactly():
     rng = np.random.default_rng(1)
     spots, C_si, u, star = scene(rng, 12, 60, sigma=0.0)
-    known = adjust(spots, START, jittered(C_si, rng), NO_POINTS, PITCH_MM, WIDE, GATE)
+    known = adjust(spots, START, jittered(C_si, rng), NO_POINTS, LENS, WIDE, GATE)
     np.testing.assert_allclose(known.intrinsics, INTRINSICS, rtol=1e-6, atol=1e-10)
     unidentified, seen = without_places(spots, star)
-    free = adjust(unidentified, START, jittered(C_si, rng), u[seen], PITCH_MM, WIDE, GATE)
+    free = adjust(unidentified, START, jittered(C_si, rng), u[seen], LENS, WIDE, GATE)
     np.testing.assert_allclose(free.intrinsics, INTRINSICS, rtol=1e-5, atol=1e-8)
     assert np.abs(known.residual).max() < 1e-6 and np.abs(free.residual).max() < 1e-6
 
@@ -90,7 +92,7 @@ def test_it_is_the_least_squares_fit_of_all_unknowns(named):
 
     best = least_squares(misfit, np.zeros(19 + 2 * len(points)), '3-point', x_scale='jac',
                          xtol=1e-12)
-    found = adjust(spots, INTRINSICS, C_si, points, PITCH_MM, PRIOR_P, np.inf)
+    found = adjust(spots, INTRINSICS, C_si, points, LENS, PRIOR_P, np.inf)
     covariance = np.linalg.inv(best.jac.T @ best.jac)[:7, :7] * np.outer(scale, scale)
     sigma = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose((found.intrinsics - INTRINSICS) / sigma, scale * best.x[:7] / sigma,
@@ -126,14 +128,14 @@ def test_focal_lengths_of_frames_are_the_least_squares_fit():
                                x[3 * n + 6:] / PRIOR[2]))
 
     best = least_squares(misfit, np.zeros(len(scale)), '3-point', x_scale='jac', xtol=1e-12)
-    found = adjust(spots, INTRINSICS, C_si, NO_POINTS, PITCH_MM, PRIOR_P, np.inf, PRIOR[2])
+    found = adjust(spots, INTRINSICS, C_si, NO_POINTS, LENS, PRIOR_P, np.inf, PRIOR[2])
     covariance = np.linalg.inv(best.jac.T @ best.jac) * np.outer(scale, scale)
     solution, f = scale * best.x, slice(3 * n + 6, None)
     sigma = np.sqrt(np.diag(covariance)[f])
-    np.testing.assert_allclose(found.own_f_sigma_mm, sigma, rtol=1e-3)
-    np.testing.assert_allclose((found.own_f_mm - INTRINSICS[2] - solution[f]) / sigma, 0.0,
+    np.testing.assert_allclose(found.own_f[:, 1], sigma, rtol=1e-3)
+    np.testing.assert_allclose((found.own_f[:, 0] - INTRINSICS[2] - solution[f]) / sigma, 0.0,
                                atol=5e-3)
-    assert found.intrinsics[2] == pytest.approx(found.own_f_mm.mean())
+    assert found.intrinsics[2] == pytest.approx(found.own_f[:, 0].mean())
     # The camera with the mean of the focal lengths.
     T = np.zeros((7, len(scale)))
     T[free, 3 * n + np.arange(6)], T[2, f] = 1.0, 1.0 / n
@@ -155,7 +157,7 @@ def test_covariance_says_the_truth(named):
         if not named:
             spots, seen = without_places(spots, star)
             points = u[seen]
-        found = adjust(spots, start, jittered(C_si, rng), points, PITCH_MM, PRIOR_P, GATE)
+        found = adjust(spots, start, jittered(C_si, rng), points, LENS, PRIOR_P, GATE)
         error = found.intrinsics - INTRINSICS
         total += error @ np.linalg.solve(found.covariance, error)
     low, high = chi2.ppf([0.0005, 0.9995], 7 * runs) / runs
@@ -166,7 +168,7 @@ def test_what_is_held_stays():
     rng = np.random.default_rng(4)
     spots, C_si, *_ = scene(rng, 8, 40)
     prior = PRIOR * [1, 1, 1, 1, 0, 0, 0]
-    found = adjust(spots, START, C_si, NO_POINTS, PITCH_MM, np.diag(prior**2), GATE)
+    found = adjust(spots, START, C_si, NO_POINTS, LENS, np.diag(prior**2), GATE)
     assert (found.intrinsics[4:] == START[4:]).all() and not found.covariance[4:].any()
     assert (np.diag(found.covariance)[:4] > 0.0).all()
 
@@ -186,9 +188,9 @@ def test_wrong_stars_are_let_go(part, where):
     start = attitudes(spots, camera.unproject(spots.uv, START, PITCH_MM))
     assert np.degrees(np.linalg.norm(rotation.log(start @ np.swapaxes(C_si, -1, -2)),
                                      axis=-1)).max() < 1.4         # a tenth of the field
-    found = adjust(spots, START, start, NO_POINTS, PITCH_MM, PRIOR_P, GATE)
+    found = adjust(spots, START, start, NO_POINTS, LENS, PRIOR_P, GATE)
     alone = adjust(Observations(*(column[~wrong] for column in spots)), START, start,
-                   NO_POINTS, PITCH_MM, PRIOR_P, GATE)
+                   NO_POINTS, LENS, PRIOR_P, GATE)
     assert not found.used[wrong].any() and found.used[~wrong].mean() > 0.998
     sigma = np.sqrt(np.diag(alone.covariance))
     np.testing.assert_allclose((found.intrinsics - alone.intrinsics) / sigma, 0.0, atol=2e-3)
@@ -202,9 +204,9 @@ def test_spots_that_are_off_together_do_not_pull_the_camera_to_them(seed, shift)
     u = spots.uv[:, 0]
     wrong = u > np.quantile(u, 0.8)
     spots = spots._replace(uv=spots.uv + np.outer(wrong, shift))
-    found = adjust(spots, START, C_si, NO_POINTS, PITCH_MM, PRIOR_P, GATE)
+    found = adjust(spots, START, C_si, NO_POINTS, LENS, PRIOR_P, GATE)
     alone = adjust(Observations(*(column[~wrong] for column in spots)), START, C_si, NO_POINTS,
-                   PITCH_MM, PRIOR_P, GATE)
+                   LENS, PRIOR_P, GATE)
     assert not found.used[wrong].any()
     np.testing.assert_array_equal(found.used[~wrong], alone.used)
     # In the end both fit the same spots, from where they stand: to a step of 1e-3 sigma.
@@ -223,7 +225,7 @@ def test_groups_that_share_no_star_each_keep_one_attitude():
         (unidentified.point, unidentified.point + count))))
     turn = rotation.exp(np.array([0.3, -0.2, 1.0]))
     found = adjust(twice, START, np.concatenate((C_si, C_si @ turn.T)),
-                   np.concatenate((u[seen], u[seen] @ turn.T)), PITCH_MM, WIDE, GATE)
+                   np.concatenate((u[seen], u[seen] @ turn.T)), LENS, WIDE, GATE)
     np.testing.assert_allclose(found.intrinsics, INTRINSICS, rtol=1e-5, atol=1e-8)
 
 
@@ -286,7 +288,7 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     rng = np.random.default_rng(9)
     spots, C_si, u, star = scene(rng, 12, 60)
     unidentified, seen = without_places(spots, star)
-    problem = bundle_adjustment._Problem(unidentified, START, PITCH_MM, WIDE)
+    problem = bundle_adjustment._Problem(unidentified, START, LENS, WIDE)
     state = bundle_adjustment._State(START, C_si, u[seen])
     lost = unidentified.point == 5
     normal = problem.normal(state, np.where(lost, 0.0, 1.0 / SIGMA), problem.residual(state))
@@ -295,7 +297,7 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     without = unidentified._replace(point=np.where(unidentified.point > 5, unidentified.point - 1,
                                                    unidentified.point))
     without = Observations(*(part[~lost] for part in without))
-    other = bundle_adjustment._Problem(without, START, PITCH_MM, WIDE).normal(
+    other = bundle_adjustment._Problem(without, START, LENS, WIDE).normal(
         state._replace(points=np.delete(state.points, 5, axis=0)),
         np.full((~lost).sum(), 1.0 / SIGMA))
     np.testing.assert_allclose(normal.camera_covariance(), other.camera_covariance(), rtol=1e-6)

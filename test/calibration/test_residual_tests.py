@@ -16,10 +16,12 @@ from starcal_ros.calibration.frame_sample import FrameSample
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.camera import INTRINSICS_SCALE, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 
+LENS = Tan2018Lens(PITCH_MM)
 DETECTOR, SIGMA, GATE = Detector(1024, 1024, PITCH_MM), 0.05, 18.42
 PRIOR = np.diag(np.array([20.0, 20.0, 2.5, 1e-3, 1e-5, 1e-4, 1e-4])**2)
 HALF = 512.0 * np.sqrt(2.0)
@@ -46,11 +48,11 @@ def scene(rng, frames=60, stars=25, noise=lambda uv: 1.0, move=lambda uv, frame:
 
 def fit(spots, C_si):
     """Return the stars and the camera of an adjustment that begins at the truth."""
-    adjusted = adjust(spots, INTRINSICS, C_si, np.empty((0, 3)), PITCH_MM, PRIOR, GATE)
+    adjusted = adjust(spots, INTRINSICS, C_si, np.empty((0, 3)), LENS, PRIOR, GATE)
     estimate = CameraEstimate(adjusted.intrinsics, adjusted.covariance, len(C_si),
                               int(adjusted.used.sum()))
     magnitude = np.linspace(0.0, 6.0, len(spots.frame))
-    return residual_tests.fitted_stars(spots, adjusted, magnitude, PITCH_MM), estimate
+    return residual_tests.fitted_stars(spots, adjusted, magnitude, LENS), estimate
 
 
 def judged(stars, estimate, **options):

@@ -13,8 +13,9 @@ import pytest
 
 from instruments import TOP
 from starcal_ros.cli import main
-from starcal_ros.core import camera, rotation
+from starcal_ros.core import lenses, rotation
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.report import annotated, sky_grid
 from starcal_ros.sky import catalog
 from starcal_ros.sky.star_names import NAMES, name_of
@@ -95,13 +96,16 @@ def test_a_folder_of_which_nothing_can_be_used_is_drawn(tmp_path, capsys):
 
 
 @pytest.mark.parametrize('turn', [(0.3, -0.2, 1.0), (1.5, 0.1, 0.0), (-1.57, 0.0, 0.4)])
-@pytest.mark.parametrize('f_mm', [3.0, 20.0, 200.0])
-def test_lines_of_the_grid_are_lines_of_the_sky(turn, f_mm):
+@pytest.mark.parametrize('lens, values', [
+    *((Tan2018Lens(PIXELS.pitch_mm), (f_mm, 0.0, 0.0, 0.0, 0.0)) for f_mm in (3.0, 20.0, 200.0)),
+    # Its corners are 95 deg off the axis.
+    (lenses.in_pixels('kannala_brandt', PIXELS, 300.0), (300.0, -0.03, 0.004, -0.001, 0.0001))])
+def test_lines_of_the_grid_are_lines_of_the_sky(turn, lens, values):
     C_si = rotation.exp(np.array(turn))
-    intrinsics = np.array([12.0, -7.0, f_mm, 0.0, 0.0, 0.0, 0.0])
+    intrinsics = np.array([12.0, -7.0, *values])
     kinds = set()
-    for line in sky_grid.lines(C_si, intrinsics, PIXELS):
-        r_s = camera.unproject(line.uv_raster - PIXELS.centre_raster, intrinsics, PIXELS.pitch_mm)
+    for line in sky_grid.lines(C_si, intrinsics, lens, PIXELS):
+        r_s = lens.unproject(line.uv_raster - PIXELS.centre_raster, intrinsics)
         x, y, z = (r_s @ C_si).T
         kind, value = line.label.rstrip('°').split()
         kinds.add(kind)

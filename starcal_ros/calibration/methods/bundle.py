@@ -20,9 +20,9 @@ from starcal_ros.calibration.bundle_start import attitudes, identified
 from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import nominal_camera, own_focal_sigma_mm, star_gate, with_camera
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples
@@ -64,17 +64,17 @@ class Bundle:
         Size of the residuals over what the sigmas promise, of the last estimate.
     consistency : Consistency
         What the residuals of unidentified spots say of the last estimate.
-    own_f_mm : (n, 2) array or None
-        Focal length of each frame with stars enough, and its sigma (``intrinsics.free``).
+    own_f : (n, 2) array or None
+        Focal length of each frame with stars enough, and its sigma (``intrinsics.free``) [mm].
     """
 
     def __init__(self, scenario: Scenario, known: CameraEstimate | None = None) -> None:
         self.misfit, self.consistency = np.inf, Consistency()
-        self.own_f_mm: Array | None = None
-        self._own_f_sigma_mm = own_focal_sigma_mm(scenario)
+        self.own_f: Array | None = None
+        self._own_f_sigma = own_focal_sigma_mm(scenario)
         self._prior = nominal_camera(scenario, known)
         self._scenario = with_camera(scenario, self._prior.intrinsics)
-        self._pitch_mm = scenario.camera.pixel_pitch_mm
+        self._lens = Tan2018Lens(scenario.camera.pixel_pitch_mm)
         self._gate = star_gate(scenario.estimator)
         self._gated = gated_nis(scenario.estimator.gate_probability)
         self._directions = StarDirections(scenario)
@@ -95,7 +95,7 @@ class Bundle:
         """Adjust the camera to all frames so far; None while no frame has stars enough."""
         frames = Frames.concatenate(self._frames)
         identified_ = (frames.catalog_id > 0).any()
-        if self._own_f_sigma_mm and not identified_:
+        if self._own_f_sigma and not identified_:
             self._notices.once('own', 'intrinsics.free: a focal length for each frame needs '
                                'identified stars')
             return None
@@ -104,8 +104,8 @@ class Bundle:
             return None
         try:
             adjusted = adjust(start_.spots, self._prior.intrinsics, start_.C_si, start_.points,
-                              self._pitch_mm, self._prior.covariance, self._gate,
-                              self._own_f_sigma_mm)
+                              self._lens, self._prior.covariance, self._gate,
+                              self._own_f_sigma)
         except np.linalg.LinAlgError:       # spots that no camera like the nominal one can see
             self._notices.once('lost', f'{len(start_.spots.frame)} spots do not fit a camera '
                                'that is anything like the nominal one')
@@ -113,8 +113,7 @@ class Bundle:
         self.misfit = adjusted.scale
         self.consistency = Consistency() if identified_ else residual_tests.of_unidentified(
             adjusted, start_.spots.sigma, self._gated)
-        if adjusted.own_f_mm is not None and adjusted.own_f_sigma_mm is not None:
-            self.own_f_mm = np.stack((adjusted.own_f_mm, adjusted.own_f_sigma_mm), axis=-1)
+        self.own_f = adjusted.own_f
         used = int(adjusted.used.sum())
         if used < len(adjusted.used):
             self._notices.once('rejected', f'{len(adjusted.used) - used} of '
@@ -125,7 +124,7 @@ class Bundle:
         spots = identified(frames, self._directions.of(frames, self._notices))
         if not len(spots.frame):
             return None
-        r_s = camera.unproject(spots.uv, self._prior.intrinsics, self._pitch_mm)
+        r_s = self._lens.unproject(spots.uv, self._prior.intrinsics)
         return _Start(spots, attitudes(spots, r_s), np.empty((0, 3)))
 
     def _from_tracks(self, frames: Frames) -> _Start | None:
@@ -154,7 +153,7 @@ class Bundle:
         kept, number = np.unique(frame[use], return_inverse=True)
         point = np.unique(followed.track[use], return_inverse=True)[1]
         spots = Observations(number, uv[use], sigma[use], np.zeros((len(number), 3)), point)
-        r_s = camera.unproject(spots.uv, self._prior.intrinsics, self._pitch_mm)
+        r_s = self._lens.unproject(spots.uv, self._prior.intrinsics)
         points = np.zeros((point.max() + 1, 3))
         np.add.at(points, point, (np.swapaxes(C_si[frame[use]], -1, -2) @ r_s[..., None])[..., 0])
         return _Start(spots, C_si[kept],

@@ -7,35 +7,40 @@ is known of the camera but its number of pixels: it begins at a focal length fou
 distances of the stars, and its pixel pitch is `PITCH_MM` whatever it is in truth, for only ratios
 to it are told.
 
-Results are in OpenCV's forward model: f, u0, v0 in raster pixels, k1, k2, p1, p2 without unit.
+Results are in OpenCV's forward model: f, u0, v0 in raster pixels, k1, k2, p1, p2 without unit, or
+the coefficients of another lens model.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from starcal_ros import calibration
-from starcal_ros.calibration import bundle_adjustment, camera_verdict, held_camera, residual_tests
+from starcal_ros.calibration import (bundle_adjustment, camera_verdict, held_camera, lens_bundle,
+                                     residual_tests)
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.calibration.camera_verdict import CameraVerdict
+from starcal_ros.calibration.lens_bundle import LensStart
+from starcal_ros.calibration.lens_choice import LensChoice
 from starcal_ros.calibration.residual_tests import Consistency, FittedStars
-from starcal_ros.config.models import detector, own_focal_sigma_mm, star_gate
+from starcal_ros.config.models import detector, star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.lenses import PLUMB_BOB
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import Site
-from starcal_ros.workflows.still_images import one_camera
+from starcal_ros.workflows.still_images import lens as lens_models, one_camera, opencv_camera
 from starcal_ros.workflows.still_images.one_camera import OwnCamera
-from starcal_ros.workflows.still_images.opencv_camera import IN_OURS, KEYS, from_estimate
+from starcal_ros.workflows.still_images.opencv_camera import from_estimate
 from starcal_ros.workflows.still_images.table import StillImages
 
 PITCH_MM = 0.005
@@ -95,13 +100,17 @@ class StillImageCamera:
         What the method began with.
     verdict : CameraVerdict
         Whether the residuals are noise; there are no tolerances in units of PITCH_MM.
+    start : LensStart
+        The lens model, and what was known of it.
     own : tuple of OwnCamera
         What each image alone asks for.
-    scatter : (7,) array or None
-        Variances of the camera from the scatter between images, in the order of KEYS.
+    scatter : (p,) array or None
+        Variances of the camera from the scatter between images, in the order of `keys`.
     own_f_px : (n, 2) array or None
         Focal length of each fitted image and its sigma, where each has its own
         (``intrinsics.free``); that of the camera is their mean.
+    choice : LensChoice or None
+        The lens models that were compared.
     """
 
     estimate: CameraEstimate
@@ -110,9 +119,33 @@ class StillImageCamera:
     heldout: Refit | None
     scenario: Scenario
     verdict: CameraVerdict
+    start: LensStart
     own: tuple[OwnCamera, ...] = ()
     scatter: Array | None = None
     own_f_px: Array | None = None
+    choice: LensChoice | None = None
+
+    @property
+    def lens(self) -> LensModel:
+        """What the camera is."""
+        return self.start.lens
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Its parameters in results."""
+        return opencv_camera.keys(self.lens)
+
+    @property
+    def best_start(self) -> LensStart:
+        """The lens model, or that of those compared which predicts better by far."""
+        if self.choice is None or self.choice.test(self.lens.name).passed:
+            return self.start
+        return lens_bundle.start_of(self.choice.chosen.name, self.scenario)
+
+    @property
+    def refused(self) -> float:
+        """Share of the stars outside the gate."""
+        return float(np.mean(~self.fit.adjusted.used))
 
     def with_test(self, test: Statistic, factors: tuple[float, ...]) -> StillImageCamera:
         """Return it with one more test, which multiplies the variances where it fails."""
@@ -120,26 +153,30 @@ class StillImageCamera:
         return replace(self, verdict=replace(self.verdict, consistency=found))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result for JSON, the covariance in the order of KEYS."""
-        values, covariance = from_estimate(self.estimate, self.scenario)
+        """Return the result for JSON, the covariance in the order of `keys`."""
+        keys, lens = self.keys, self.lens
+        values, covariance = from_estimate(self.estimate, self.scenario, lens)
         judged = self.verdict.as_dict()
-        factors = dict(zip(INTRINSICS, self.verdict.consistency.camera_factors))
+        factors = dict(zip(lens.parameters, self.verdict.consistency.camera_factors))
         judged['variance_factor'] = {
             'centroids': judged['variance_factor']['centroids'],
-            **{key: factors[name] for key, name in zip(KEYS, IN_OURS)}}
+            **{key: factors.get(name, 1.0)
+               for key, name in zip(keys, opencv_camera.in_ours(lens))}}
         sigma = np.sqrt(np.diag(covariance))
         scatter = None if self.scatter is None else dict(
-            zip(KEYS, np.sqrt(self.scatter).tolist()))
+            zip(keys, np.sqrt(self.scatter).tolist()))
         return {
-            **dict(zip(KEYS, values.tolist())), 'sigma': dict(zip(KEYS, sigma.tolist())),
+            'lens': lens.name,
+            **dict(zip(keys, values.tolist())), 'sigma': dict(zip(keys, sigma.tolist())),
             'sigma_between_images': scatter,
-            'parameters': list(KEYS), 'covariance': covariance.tolist(),
+            'parameters': list(keys), 'covariance': covariance.tolist(),
             'centroid_sigma_px': self.sigma_px, 'fit_rms_px': self.fit.rms_px,
             'heldout_rms_px': self.heldout.rms_px if self.heldout else None,
             **judged,
             **({} if self.own_f_px is None else {'own_f_px': {
                 name: {'f_px': f_px, 'sigma': sigma}
                 for name, (f_px, sigma) in zip(self.fit.names, self.own_f_px.tolist())}}),
+            'lens_models': [each.as_dict() for each in self.choice.scores] if self.choice else [],
             'each_image': [each.as_dict() for each in self.own],
             'counts': {'images': self.estimate.frames, 'stars': self.estimate.stars,
                        'rejected_stars': int((~self.fit.adjusted.used).sum()),
@@ -200,7 +237,8 @@ def focal_length_px(images: StillImages, width: int, height: int) -> float:
     return float(np.median(length[angle > 0.0] / angle[angle > 0.0]))
 
 
-def calibrate(images: StillImages, scenario: Scenario) -> StillImageCamera | None:
+def calibrate(images: StillImages, scenario: Scenario, lens: str = PLUMB_BOB
+              ) -> StillImageCamera | None:
     """Calibrate the camera of still images by the method ``intrinsics.method``.
 
     The size of the residuals is not known beforehand: the method runs again with what it was.
@@ -211,24 +249,33 @@ def calibrate(images: StillImages, scenario: Scenario) -> StillImageCamera | Non
     images : StillImages
     scenario : Scenario
         What is known of the camera, the observer, the method.
+    lens : str
+        Lens model, one of `lens.CHOICES`.
     """
-    measured, stated = images.frames, 1.0
+    measured, stated, name = images.frames, 1.0, lens
+    choice: LensChoice | None = None
     for k in range(_ROUNDS):
         stars = StarDirections(scenario).of(images.frames)
         fitted = images.which(~images.heldout)
-        method = calibration.begin(scenario)
+        if lens == lens_models.AUTO and k == 0:
+            choice = lens_models.compare(fitted, scenario)
+            if choice is None:
+                return None
+            name = choice.chosen.name
+        start = lens_bundle.start_of(name, scenario)
+        method = lens_models.begin(start, scenario)
         method.add_frames(fitted.frames)
         estimate = method.estimate()
         if estimate is None:
             return None
-        fit = refit(images, stars, ~images.heldout, estimate, scenario)
+        fit = refit(images, stars, ~images.heldout, estimate, scenario, start)
         assert fit is not None          # or there would be no estimate
         adjusted = fit.adjusted
-        shared = np.count_nonzero(estimate.sigma) - (adjusted.own_f_mm is not None)
+        shared = np.count_nonzero(estimate.sigma) - (adjusted.own_f is not None)
         freedom = max(1, adjusted.freedom - int(shared))
         residual, given = adjusted.residual[adjusted.used], fit.spots.sigma[adjusted.used]
         sigma = float(np.sqrt(np.sum(residual**2) / freedom))
-        heldout = refit(images, stars, images.heldout, estimate, scenario)
+        heldout = refit(images, stars, images.heldout, estimate, scenario, start)
         # A sigma that nobody stated can not be contradicted.
         found = residual_tests.consistency(
             fit.stars, estimate, detector(scenario.camera),
@@ -236,11 +283,11 @@ def calibrate(images: StillImages, scenario: Scenario) -> StillImageCamera | Non
             STATED if (measured.sigma > 0.0).all() else None, 1.0 / stated**2,
             heldout=heldout.stars if heldout else None)
         result = StillImageCamera(estimate, sigma, fit, heldout, scenario,
-                                  _verdict(found, estimate, scenario))
+                                  _verdict(found, estimate, start), start, choice=choice)
         if k == _ROUNDS - 1:
-            own = getattr(method, 'own_f_mm', None)
-            return _between_images(replace(
-                result, own_f_px=None if own is None else own / PITCH_MM), fitted)
+            own = getattr(method, 'own_f', None)
+            return _with_lenses(_between_images(replace(
+                result, own_f_px=None if own is None else own / _px(start)), fitted), fitted)
         scale = float(np.sqrt(np.sum((residual / given[:, None])**2) / freedom))
         stated *= scale
         known = measured.sigma > 0.0
@@ -255,29 +302,53 @@ def calibrate(images: StillImages, scenario: Scenario) -> StillImageCamera | Non
 def _between_images(found: StillImageCamera, fitted: StillImages) -> StillImageCamera:
     """Return a camera with what its images say one by one, and the verdict on that."""
     fit, scenario = found.fit, found.scenario
-    own = one_camera.own_cameras(fit.names, fit.spots, fit.adjusted, found.estimate, scenario)
-    scatter = one_camera.jackknife(fitted, scenario)
-    odd, factors = one_camera.disagreement(own), residual_tests.AS_STATED
+    own = one_camera.own_cameras(fit.names, fit.spots, fit.adjusted, found.estimate, scenario,
+                                 found.start)
+    scatter = one_camera.jackknife(fitted, scenario,
+                                   partial(lens_models.begin, found.start, scenario), found.lens)
+    odd, factors = one_camera.disagreement(own), (1.0,) * len(found.keys)
     if not odd.passed and scatter is not None and len(own) > 1:
-        formal = np.diag(from_estimate(found.estimate, scenario)[1])
+        formal = np.diag(from_estimate(found.estimate, scenario, found.lens)[1])
         scatter = np.maximum(scatter, one_camera.scattered(own, formal))
-        ratio = dict(zip(IN_OURS, np.maximum(1.0, scatter / np.where(
+        ratio = dict(zip(opencv_camera.in_ours(found.lens), np.maximum(1.0, scatter / np.where(
             formal > 0.0, formal, np.inf)).tolist()))
-        factors = tuple(ratio[name] for name in INTRINSICS)
+        factors = tuple(ratio[name] for name in found.lens.parameters)
     judged = found.verdict.consistency
     if own and judged.statistics:
         judged = Consistency((odd,), None, factors).beside(judged)
     return replace(found, own=own, scatter=scatter,
-                   verdict=_verdict(judged, found.estimate, scenario))
+                   verdict=_verdict(judged, found.estimate, found.start))
 
 
-def _verdict(found: Consistency, estimate: CameraEstimate, scenario: Scenario) -> CameraVerdict:
+def _verdict(found: Consistency, estimate: CameraEstimate, start: LensStart) -> CameraVerdict:
     return CameraVerdict(found, {}, (), *camera_verdict.of_prior(
-        estimate, scenario, dict(zip(IN_OURS, KEYS))))
+        estimate, np.sqrt(np.diag(start.covariance)), start.lens.parameters,
+        dict(zip(opencv_camera.in_ours(start.lens), opencv_camera.keys(start.lens)))))
+
+
+def _px(start: LensStart) -> float:
+    """Return a pixel in the unit of the focal length of a lens model."""
+    return PITCH_MM if start.lens.name == PLUMB_BOB else 1.0
+
+
+def _with_lenses(found: StillImageCamera, fitted: StillImages) -> StillImageCamera:
+    """Return a camera with what the other lens models say, where its residuals ask for that."""
+    judged = found.verdict.consistency
+    if not lens_models.is_doubtful(judged, found.refused):
+        return found
+    choice = found.choice or lens_models.compare(fitted, found.scenario)
+    if choice is None:
+        return found
+    if judged.statistics:
+        judged = Consistency((choice.test(found.lens.name),), None,
+                             (1.0,) * len(found.keys)).beside(judged)
+    return replace(found, choice=choice, verdict=replace(
+        found.verdict, consistency=judged, about_lens=choice.sentence(
+            found.lens.name, found.refused, found.fit.rms_px)))
 
 
 def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimate,
-          scenario: Scenario) -> Refit | None:
+          scenario: Scenario, start: LensStart) -> Refit | None:
     """Fit the attitudes alone, the camera held; None where no image has stars enough.
 
     Parameters
@@ -289,13 +360,15 @@ def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimat
         Which images.
     estimate : CameraEstimate
     scenario : Scenario
-        Pixel pitch, gate.
+        Gate.
+    start : LensStart
+        What the camera is.
     """
     stars = stars.take(np.repeat(part, images.frames.star_counts))
     images = images.which(part)
     frames = images.frames
-    fitted = held_camera.fit(frames, stars, estimate.intrinsics, scenario.camera.pixel_pitch_mm,
-                             star_gate(scenario.estimator), own_focal_sigma_mm(scenario))
+    fitted = held_camera.fit(frames, stars, estimate.intrinsics, start.lens,
+                             star_gate(scenario.estimator), start.own_f_sigma)
     if fitted is None:
         return None
     enough = np.bincount(frames.frame_index, np.isfinite(stars.sigma),

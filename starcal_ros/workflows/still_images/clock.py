@@ -4,6 +4,8 @@
 
 Refraction depends on where in the sky the images look, so on the clock and the site. The same
 stars are fitted with the clock some whole hours off, as a wrong zone has it, and without any air.
+It is done with the lens model that predicts best, where that of the camera is not what the lens
+does: a wrong one asks for another air.
 With s^2 the mean square of what a fit leaves, m degrees of freedom ::
 
     g = m ln(s_0^2 / s^2)                                                              (K.1)
@@ -18,16 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.calibration import bundle_adjustment, bundle_start, residual_tests
+from starcal_ros.calibration import bundle_start, lens_bundle
+from starcal_ros.calibration.lens_bundle import LensStart
 from starcal_ros.calibration.residual_tests import AIR
-from starcal_ros.config.models import nominal_camera, star_gate
+from starcal_ros.config.models import star_gate
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.distributions import chi2_isf
 from starcal_ros.core.statistic import ALARM, Statistic
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import StarDirections
+from starcal_ros.workflows.still_images.calibration import StillImageCamera
 from starcal_ros.workflows.still_images.table import StillImages
 
 HOURS = range(-13, 14)
@@ -70,7 +73,8 @@ class Air(NamedTuple):
     doubt: str
 
 
-def look(images: StillImages, scenario: Scenario, zone_h: float, sigma: Array) -> Air | None:
+def look(images: StillImages, scenario: Scenario, zone_h: float, found: StillImageCamera
+         ) -> Air | None:
     """Test the time and the site of images; None where their stars have no fit.
 
     Parameters
@@ -81,17 +85,18 @@ def look(images: StillImages, scenario: Scenario, zone_h: float, sigma: Array) -
         What was known of the camera, and the site.
     zone_h : float
         Zone in which times of theirs were read, from UTC [h].
-    sigma : (7,) array
-        Of the intrinsics that were found.
+    found : StillImageCamera
+        The camera that was found.
     """
     some = np.zeros(len(images.names), bool)
     some[np.linspace(0, len(some) - 1, min(_IMAGES, len(some))).astype(int)] = True
-    frames = images.which(some).frames
-    stated = _fit(frames, scenario, 0)
+    frames, start = images.which(some).frames, found.best_start
+    stated = _fit(frames, scenario, start, 0, None)
     if stated is None:
         return None
-    fits = [stated, *(found for hours in (None, *HOURS)
-                      if hours != 0 and (found := _fit(frames, scenario, hours)) is not None)]
+    others = (_fit(frames, scenario, start, hours, stated.intrinsics)
+              for hours in (None, *HOURS) if hours != 0)
+    fits = [stated, *filter(None, others)]
     most = star_gate(scenario.estimator) * float(np.median(stated.squares)) / np.log(2.0)
     cost = {each.hours: float(np.minimum(each.squares, most).sum()) for each in fits}
     gain = {hours: stated.freedom * float(np.log(cost[0] / each)) for hours, each in cost.items()}
@@ -102,7 +107,8 @@ def look(images: StillImages, scenario: Scenario, zone_h: float, sigma: Array) -
            for hours, each in cost.items()}
     test = Statistic(AIR, gain[best.hours], 0.0, chance + stated.freedom * float(np.log(FAR)),
                      len(cost), gain=gain[best.hours])
-    factors = residual_tests.AS_STATED
+    sigma = found.estimate.sigma
+    factors = (1.0,) * len(sigma)
     if not test.passed:
         alike = [zone_h - hours for hours, each in cost.items()
                  if hours is not None and each < ALIKE * cost[best.hours]]
@@ -110,9 +116,10 @@ def look(images: StillImages, scenario: Scenario, zone_h: float, sigma: Array) -
         test = test._replace(fits=f'a clock at {zones}: RMS {rms[best.hours]:.3g} sigma at '
                              f'--utc-offset={zone_h - (best.hours or 0):g} against {rms[0]:.3g} '
                              'as stated')
-        moved = np.where(sigma > 0.0, (best.intrinsics - stated.intrinsics) / np.where(
-            sigma > 0.0, sigma, 1.0), 0.0)
-        factors = tuple((1.0 + moved**2).tolist())
+        if start is found.start:
+            moved = np.where(sigma > 0.0, (best.intrinsics - stated.intrinsics) / np.where(
+                sigma > 0.0, sigma, 1.0), 0.0)
+            factors = tuple((1.0 + moved**2).tolist())
     doubt = ''
     if gain.get(None, 0.0) > chance:
         doubt = (f'the site makes the fit worse: RMS {rms[0]:.3g} sigma, {rms[None]:.3g} without '
@@ -120,8 +127,12 @@ def look(images: StillImages, scenario: Scenario, zone_h: float, sigma: Array) -
     return Air(test, factors, doubt)
 
 
-def _fit(frames: Frames, scenario: Scenario, hours: int | None) -> _Fit | None:
-    """Fit the camera with the air of a time; None where stars would be too low."""
+def _fit(frames: Frames, scenario: Scenario, start: LensStart, hours: int | None,
+         begin: Array | None) -> _Fit | None:
+    """Fit the camera with the air of a time, from one that is nearly right if there is one.
+
+    None where stars would be too low.
+    """
     if hours is None:
         scenario = scenario.replace({'observer.site_pressure_hpa': 0.0})
     else:
@@ -130,12 +141,11 @@ def _fit(frames: Frames, scenario: Scenario, hours: int | None) -> _Fit | None:
     spots = bundle_start.identified(frames, stars)
     if not len(spots.frame) or len(spots.frame) < (frames.catalog_id > 0).sum():
         return None
-    prior, pitch_mm = nominal_camera(scenario), scenario.camera.pixel_pitch_mm
-    r_s = camera.unproject(spots.uv, prior.intrinsics, pitch_mm)
+    gate = star_gate(scenario.estimator)
     try:
-        found = bundle_adjustment.adjust(
-            spots, prior.intrinsics, bundle_start.attitudes(spots, r_s), np.empty((0, 3)),
-            pitch_mm, prior.covariance, star_gate(scenario.estimator))
+        found = lens_bundle.fit(spots, start, gate) if begin is None else lens_bundle.finish(
+            spots, begin, bundle_start.attitudes(spots, start.lens.unproject(spots.uv, begin)),
+            start, gate)
     except np.linalg.LinAlgError:
         return None
     return _Fit(hours, np.sum((found.residual / spots.sigma[:, None])**2, axis=1),

@@ -15,21 +15,22 @@ cost of many images bounded.) It has the noise in it as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from starcal_ros import calibration
 from starcal_ros.calibration import bundle_adjustment
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.calibration.lens_bundle import LensStart
+from starcal_ros.calibration.method import CameraMethod
 from starcal_ros.calibration.residual_tests import IMAGES
-from starcal_ros.config.models import of_intrinsics, star_gate
+from starcal_ros.config.models import star_gate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
-from starcal_ros.core.camera import INTRINSICS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.distributions import f_isf
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.core.statistic import ALARM, Statistic
 from starcal_ros.workflows.still_images import opencv_camera
 from starcal_ros.workflows.still_images.table import StillImages
@@ -39,7 +40,8 @@ LEAST_IMAGES = 4
 
 _GROUPS = 20
 _NAMED = 5
-_LEAST_STARS = 12       # of an image that is fitted alone
+_LEAST_STARS = 12       # of an image that is fitted alone,
+_SPARE_STARS = 5        # and more than there are parameters
 _OWN = [0, 1, 2]        # u0, v0, f of the intrinsics
 
 
@@ -50,27 +52,31 @@ class OwnCamera(NamedTuple):
     ----------
     name : str
         Image.
-    values, sigma : (7,) array
-        In OpenCV's model, in the order of `opencv_camera.KEYS`.
+    keys : tuple of str
+        Parameters of its lens model, as `opencv_camera.keys` has them.
+    values, sigma : (p,) array
+        Of each.
     disagrees : bool
         Whether focal length and principal point are not those of all, beyond chance; what each
         image has for itself (``intrinsics.free``) left aside.
     """
 
     name: str
+    keys: tuple[str, ...]
     values: Array
     sigma: Array
     disagrees: bool
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for JSON."""
-        return {'image': self.name, **dict(zip(opencv_camera.KEYS, self.values.tolist())),
-                'sigma': dict(zip(opencv_camera.KEYS, self.sigma.tolist())),
+        return {'image': self.name, **dict(zip(self.keys, self.values.tolist())),
+                'sigma': dict(zip(self.keys, self.sigma.tolist())),
                 'disagrees': self.disagrees}
 
 
 def own_cameras(names: tuple[str, ...], spots: Observations, adjusted: Adjusted,
-                estimate: CameraEstimate, scenario: Scenario) -> tuple[OwnCamera, ...]:
+                estimate: CameraEstimate, scenario: Scenario, start: LensStart
+                ) -> tuple[OwnCamera, ...]:
     """Fit a camera to each image alone, where its stars suffice.
 
     Parameters
@@ -82,39 +88,43 @@ def own_cameras(names: tuple[str, ...], spots: Observations, adjusted: Adjusted,
     estimate : CameraEstimate
         That camera.
     scenario : Scenario
-        Pixels, and what was known before.
+        Pixels, gate.
+    start : LensStart
+        What was known before.
     """
     free = estimate.sigma > 0.0
-    prior = np.diag(np.where(free, of_intrinsics(scenario.estimator.initial_sigma), 0.0)**2)
-    own = [k for k in _OWN if free[k] and INTRINSICS[k] not in scenario.intrinsics.free]
+    prior, keys = start.covariance * np.outer(free, free), opencv_camera.keys(start.lens)
+    own = [k for k in _OWN if free[k] and start.lens.parameters[k] not in scenario.intrinsics.free]
+    least = max(_LEAST_STARS, int(free.sum()) + _SPARE_STARS)
     found = []
     for k, name in enumerate(names if own else ()):
         row = spots.frame == k
-        if row.sum() < _LEAST_STARS:
+        if row.sum() < least:
             continue
         mine = Observations(np.zeros(row.sum(), np.int64), spots.uv[row], spots.sigma[row],
                             spots.u_i[row], spots.point[row])
         alone = bundle_adjustment.adjust(
             mine, estimate.intrinsics, adjusted.C_si[k:k + 1], np.empty((0, 3)),
-            scenario.camera.pixel_pitch_mm, prior, star_gate(scenario.estimator))
-        if alone.used.sum() < _LEAST_STARS:
+            start.lens, prior, star_gate(scenario.estimator))
+        if alone.used.sum() < least:
             continue
         covariance = alone.scale**2 * alone.covariance
         off = (alone.intrinsics - estimate.intrinsics)[own]
         excess = float(off @ np.linalg.solve(covariance[np.ix_(own, own)], off)) / len(own)
         values, wide = opencv_camera.from_estimate(
-            CameraEstimate(alone.intrinsics, covariance, 1, int(alone.used.sum())), scenario)
+            CameraEstimate(alone.intrinsics, covariance, 1, int(alone.used.sum())), scenario,
+            start.lens)
         found.append(OwnCamera(
-            name, values, np.sqrt(np.diag(wide)),
+            name, keys, values, np.sqrt(np.diag(wide)),
             bool(excess > f_isf(ALARM / len(names), len(own), alone.freedom))))
     return tuple(found)
 
 
 def scattered(own: tuple[OwnCamera, ...], formal: Array) -> Array:
-    """Return the variances (7,) of the mean of cameras that differ from image to image.
+    """Return the variances (p,) of the mean of cameras that differ from image to image.
 
     What their estimates scatter beyond their own sigmas is shared by the root of their number;
-    beside it stands the formal variance (7,).
+    beside it stands the formal variance (p,).
     """
     values, sigma = (np.array(each) for each in zip(*((one.values, one.sigma) for one in own)))
     beyond = np.maximum(values.var(axis=0, ddof=1) - np.mean(sigma**2, axis=0), 0.0)
@@ -130,33 +140,39 @@ def disagreement(own: tuple[OwnCamera, ...]) -> Statistic:
     return Statistic(IMAGES, float(len(odd)), 0.0, 0.0, len(own), fits=fits)
 
 
-def jackknife(images: StillImages, scenario: Scenario) -> Array | None:
-    """Return the variances (7,) of the camera from the scatter between images, Eq. (O.1).
+def jackknife(images: StillImages, scenario: Scenario, begin: Callable[[], CameraMethod],
+              lens: LensModel) -> Array | None:
+    """Return the variances (p,) of the camera from the scatter between images, Eq. (O.1).
 
-    In OpenCV's model, in the order of `opencv_camera.KEYS`; None of fewer than LEAST_IMAGES.
+    In the order of `opencv_camera.keys`; None of fewer than LEAST_IMAGES.
 
     Parameters
     ----------
     images : StillImages
         Those that were fitted.
     scenario : Scenario
-        What the method began with.
+        Pixels.
+    begin : callable
+        Begins the method that they were fitted by.
+    lens : LensModel
+        What the camera is.
     """
     if len(images.names) < LEAST_IMAGES:
         return None
-    values = np.array([*_without(images, scenario)])
+    values = np.array([*_without(images, scenario, begin, lens)])
     if len(values) < LEAST_IMAGES:
         return None
     off = values - values.mean(axis=0)
     return np.asarray((len(values) - 1.0) / len(values) * (off**2).sum(axis=0))
 
 
-def _without(images: StillImages, scenario: Scenario) -> Iterator[Array]:
-    """Yield the camera (7,) of all images but each group of them."""
+def _without(images: StillImages, scenario: Scenario, begin: Callable[[], CameraMethod],
+             lens: LensModel) -> Iterator[Array]:
+    """Yield the camera (p,) of all images but each group of them."""
     group = np.arange(len(images.names)) % min(_GROUPS, len(images.names))
     for left_out in range(group.max() + 1):
-        method = calibration.begin(scenario)
+        method = begin()
         method.add_frames(images.which(group != left_out).frames)
         part = method.estimate()
         if part is not None:
-            yield opencv_camera.from_estimate(part, scenario)[0]
+            yield opencv_camera.from_estimate(part, scenario, lens)[0]

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A camera of still images in OpenCV's forward model.
 
-f, u0, v0 in raster pixels, k1, k2, p1, p2 without unit.
+f, u0, v0 in raster pixels, k1, k2, p1, p2, or the coefficients of another lens model, without
+unit.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ from starcal_ros.config.models import detector
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
+from starcal_ros.core.lenses import PLUMB_BOB
+from starcal_ros.core.lenses.model import LensModel
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.core.units import DEG
 from starcal_ros.messages.conventions import camera_info
 
@@ -22,8 +26,34 @@ IN_OURS = ('f', 'u0', 'v0', 'k1', 'k2', 'p2', 'p1')
 """The same, as `starcal_ros.core.camera` calls them."""
 
 
-def from_estimate(estimate: CameraEstimate, scenario: Scenario) -> tuple[Array, Array]:
-    """Return a camera in OpenCV's forward model, (7,) in the order of KEYS, and its covariance."""
+def keys(lens: LensModel) -> tuple[str, ...]:
+    """Return the parameters of a lens model in results, as KEYS has those of the five terms."""
+    return KEYS if lens.name == PLUMB_BOB else (*KEYS[:3], *lens.parameters[3:])
+
+
+def in_ours(lens: LensModel) -> tuple[str, ...]:
+    """Return the same, as the lens model calls them."""
+    return IN_OURS if lens.name == PLUMB_BOB else (*IN_OURS[:3], *lens.parameters[3:])
+
+
+def from_estimate(estimate: CameraEstimate, scenario: Scenario, lens: LensModel | None = None
+                  ) -> tuple[Array, Array]:
+    """Return a camera as results have it, (p,) in the order of `keys`, and its covariance.
+
+    Parameters
+    ----------
+    estimate : CameraEstimate
+    scenario : Scenario
+        Pixels.
+    lens : LensModel, optional
+        What the camera is; T18's where it is not said.
+    """
+    lens = lens or Tan2018Lens(scenario.camera.pixel_pitch_mm)
+    if lens.name != PLUMB_BOB:
+        order = [lens.parameters.index(name) for name in in_ours(lens)]
+        values = estimate.intrinsics.copy()
+        values[:2] += detector(scenario.camera).centre_raster
+        return values[order], estimate.covariance[np.ix_(order, order)]
     info = camera_info(estimate.intrinsics, detector(scenario.camera))
     f, (k1, k2, p1, p2, _) = estimate.intrinsics[2], info.D
     J = np.zeros((7, 7))

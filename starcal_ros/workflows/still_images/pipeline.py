@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import lenses
 from starcal_ros.results.result import CalibrationError
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import LOWEST_DEG, Site
@@ -244,7 +245,8 @@ def of_table(stars_csv: str | PathLike[str], width: int, height: int,
 
 
 def calibrate(source: Source, method: str = 'bundle',
-              parameters: Mapping[str, Any] | None = None) -> Calibrated:
+              parameters: Mapping[str, Any] | None = None, lens: str = lenses.PLUMB_BOB
+              ) -> Calibrated:
     """Calibrate the camera of still images.
 
     Parameters
@@ -255,6 +257,8 @@ def calibrate(source: Source, method: str = 'bundle',
         Calibration method.
     parameters : mapping, optional
         Other parameters of the scenario, by name, such as ``intrinsics.estimate``.
+    lens : str
+        Lens model, one of `lens.CHOICES`; others than T18's need the bundle adjustment.
 
     Raises
     ------
@@ -265,13 +269,15 @@ def calibrate(source: Source, method: str = 'bundle',
     """
     scenario = source.scenario(method).replace(dict(parameters or {}))
     method, site = scenario.intrinsics.method, source.conditions.site
-    found = calibration.calibrate(source.images, scenario)
+    if method != 'bundle' and lens != lenses.PLUMB_BOB:
+        raise ConfigError(f'--lens: {lens} needs the method bundle, got {method}')
+    found = calibration.calibrate(source.images, scenario, lens)
     if found is None:
         raise CalibrationError(
             f'{source.name}: no camera from {len(source.images.names)} images with '
             f'{len(source.images.frames.catalog_id)} stars' + _UNFIT.get(method, ''))
     air = None if site is None else clock.look(
-        source.images, scenario, _hours(source.conditions.zone), found.estimate.sigma)
+        source.images, scenario, _hours(source.conditions.zone), found)
     if air is not None:
         found = found.with_test(air.test, air.factors)
     outcome = {'method': method, 'source': source.name, **found.as_dict(), **source.details}
