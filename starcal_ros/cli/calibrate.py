@@ -40,8 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--figure', metavar='PNG', help='draw the convergence of the estimates')
     outputs.add_report(parser)
     parser.add_argument('--export', metavar='FOLDER',
-                        help='write the calibration for other programs: camera_info.yaml, and '
-                        'camchain.yaml and imu.yaml as Kalibr has them')
+                        help='write the calibration for other programs: camera_info.yaml, '
+                        'opencv.yaml, cameras.txt (COLMAP), and camchain.yaml and imu.yaml as '
+                        'Kalibr has them')
     parser.add_argument('--adopt', action='store_true',
                         help='where the data contradict the model and one extension of it '
                         'explains them better than all others, calibrate again with that')

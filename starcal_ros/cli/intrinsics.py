@@ -15,6 +15,7 @@ from starcal_ros.config.models import detector
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, parameters
 from starcal_ros.core.camera import INTRINSICS
+from starcal_ros.files.output import write_text
 from starcal_ros.imaging.files import KINDS, is_image
 
 if TYPE_CHECKING:
@@ -45,6 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_config(parser, recorded=True)
     arguments.add_topics(parser)
     parser.add_argument('--out', metavar='RESULT.json', help='result to write')
+    parser.add_argument('--export', metavar='FOLDER',
+                        help='write the camera for other programs: camera_info.yaml, '
+                        'camchain.yaml (Kalibr), opencv.yaml, cameras.txt (COLMAP); of still '
+                        'images their attitudes, too: images.txt (COLMAP), and a FITS WCS with '
+                        'SIP of each in wcs/')
     outputs.add_overwrite(parser)
     arguments.add_json(parser, 'what --out writes')
     choices = {'method': calibration.names(), 'estimate': list(INTRINSICS)}
@@ -69,7 +75,8 @@ def run(options: argparse.Namespace) -> int:
         if stills.are_all(options.source):
             recording = False           # as a folder of them
     still_images.refuse_unused(options, recording)
-    outputs.claim([options.out, *outputs.reports(options), options.stars],
+    outputs.claim([options.out, *outputs.reports(options), options.stars,
+                   *_exported(options.export)],
                   [options.source, options.centroids, options.config], options.overwrite)
     outputs.check_reports(options)
     outcome = (_of_recording(options) if recording
@@ -79,6 +86,18 @@ def run(options: argparse.Namespace) -> int:
         result.write_json(options.out, outcome)
     show_json(outcome)
     return max(STATUS[each['verdict']] for each in (outcome, *outcome.get('other_cameras', ())))
+
+
+def _exported(folder: str | None) -> list[Path]:
+    """Return the files that are exported to a folder, which is made."""
+    if folder is None:
+        return []
+    from starcal_ros.results import camera_files
+    from starcal_ros.workflows.still_images import export
+    path = Path(folder)
+    outputs.make_folder(path)
+    return [*(path / name for name in (*camera_files.NAMES, export.IMAGES)),
+            *(path / export.WCS_FOLDER).glob('*.wcs')]
 
 
 def _is_recording(path: Path) -> bool:
@@ -143,6 +162,13 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
         say(f'warning: {text}')
     show(report.camera(outcome, truth, f'Camera of {options.source}, {outcome["method"]}'))
     show('\n'.join(report.verdict_lines(outcome)))
+    if options.export:
+        from starcal_ros.results import camera_files
+        from starcal_ros.results.camera_files.foreign_camera import ForeignCamera
+        texts, _ = camera_files.files(ForeignCamera.of_intrinsics(
+            estimate.intrinsics, detector(scenario.camera)))
+        for name, text in texts.items():
+            write_text(Path(options.export) / name, text)
     return outcome
 
 

@@ -162,6 +162,10 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
               if (each := _other(other, given, _lens(options))) is not None]
     if source.others:
         outcome['other_cameras'] = [each.outcome for each in others]
+    if options.export:
+        from starcal_ros.workflows.still_images import export
+        for text in export.write(options.export, source, found):
+            say(f'warning: {text}')
     drawn = _drawn(options, source.measured, (first, *others), source.left_out)
     if options.report or options.light_report:
         from starcal_ros.report import write

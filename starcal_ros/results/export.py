@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A calibration in the files of other programs.
 
-* ``camera_info.yaml``: what `camera_info_manager` and the image pipelines load;
-* ``camchain.yaml``: camera and mounting as Kalibr writes them, ``T_cam_imu`` from gyro to optical
-  axes. The stars do not tell the lever arm: it is zero;
+* those of the camera, of `camera_files`;
+* ``camchain.yaml`` of these with the mounting as Kalibr writes it, ``T_cam_imu`` from gyro to
+  optical axes. The stars do not tell the lever arm: it is zero;
 * ``imu.yaml``: the gyro as Kalibr reads it, with the bias in addition. There is no accelerometer,
   so its two entries are for the user to add. Kalibr refuses a random walk of zero.
 """
@@ -22,10 +22,12 @@ from starcal_ros.core import rotation
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR
 from starcal_ros.messages import conventions, topics
+from starcal_ros.results import camera_files
+from starcal_ros.results.camera_files import kalibr
+from starcal_ros.results.camera_files.foreign_camera import ForeignCamera
 
-NAMES = ('camera_info.yaml', 'camchain.yaml', 'imu.yaml')
+NAMES = (*camera_files.NAMES, 'imu.yaml')
 
-_CAMERA = 'star_tracker'
 _WALK = 'estimator.process_noise.gyro_bias_deg_h_sqrt_h'
 _NAME = 'gyroscope_random_walk'
 _UNSEEN = """\
@@ -45,36 +47,21 @@ def files(result: dict[str, Any], scenario: Scenario) -> dict[str, str]:
         That it was made with: its detector, and the noise of its gyro.
     """
     intrinsics = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS])
-    camera = conventions.camera_info(intrinsics, detector(scenario.camera))
-    return dict(zip(NAMES, (
-        _dump(_camera_info(camera, scenario)),
-        _dump({'cam0': _camchain(camera, result, scenario)}),
-        _imu(result, scenario))))
+    camera = ForeignCamera.of_intrinsics(intrinsics, detector(scenario.camera))
+    texts, _ = camera_files.files(camera)           # of T18's lens they all are there
+    return {**texts, 'camchain.yaml': _dump({'cam0': _camchain(camera, result, scenario)}),
+            'imu.yaml': _imu(result, scenario)}
 
 
-def _camera_info(camera: conventions.PlumbBob, scenario: Scenario) -> dict[str, Any]:
-    def matrix(rows: int, data: list[float]) -> dict[str, Any]:
-        return {'rows': rows, 'cols': len(data) // rows, 'data': data}
-    return {'image_width': scenario.camera.width, 'image_height': scenario.camera.height,
-            'camera_name': _CAMERA, 'camera_matrix': matrix(3, camera.K),
-            'distortion_model': 'plumb_bob', 'distortion_coefficients': matrix(1, camera.D),
-            'rectification_matrix': matrix(3, np.eye(3).ravel().tolist()),
-            'projection_matrix': matrix(3, camera.P)}
-
-
-def _camchain(camera: conventions.PlumbBob, result: dict[str, Any], scenario: Scenario
+def _camchain(camera: ForeignCamera, result: dict[str, Any], scenario: Scenario
               ) -> dict[str, Any]:
     q = np.array(result['mounting']['quaternion_xyzw'])
     T_og = np.eye(4)
     T_og[:3, :3] = conventions.optical_in_gyro(rotation.to_matrix(q)).T
-    fx, _, cx, _, fy, cy = camera.K[:6]
     augmented = result.get('augmented', {'names': [], 'estimates': []})
     offset = dict(zip(augmented['names'], augmented['estimates'])).get('tau_s', 0.0) - (
         scenario.star_tracker.time_offset_s)
-    return {'T_cam_imu': T_og.tolist(), 'camera_model': 'pinhole', 'distortion_model': 'radtan',
-            'distortion_coeffs': camera.D[:4], 'intrinsics': [fx, fy, cx, cy],
-            'resolution': [scenario.camera.width, scenario.camera.height],
-            'rostopic': topics.IMAGES.recorded,
+    return {'T_cam_imu': T_og.tolist(), **(kalibr.camera(camera) or {}),
             # Kalibr's t_imu = t_cam + timeshift: a frame taken at t shows the sky of t + tau
             'timeshift_cam_imu': offset}
 

@@ -419,7 +419,7 @@ def test_calibrate_exports_and_begins_with_what_was_saved(starcal, bag, tmp_path
     first = starcal(*words, '--export', tmp_path / 'export')
     assert first.status == NOT_YET and 'has no calibration' in first.err
     assert sorted(path.name for path in (tmp_path / 'export').iterdir()) == [
-        'camchain.yaml', 'camera_info.yaml', 'imu.yaml']
+        'camchain.yaml', 'camera_info.yaml', 'cameras.txt', 'imu.yaml', 'opencv.yaml']
     outcome = json.loads((tmp_path / 'result.json').read_text())
     folder = CalibrationStore(tmp_path / 'saved').save(initial.files(outcome, scenario))
     second = starcal(*words, '--overwrite')

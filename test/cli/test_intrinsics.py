@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 
 from instruments import CONFIG, TAN2018
 from starcal_ros.calibration.methods import predicted_centroid
@@ -39,9 +40,16 @@ def bag(tmp_path_factory):
 
 def test_recording_without_gyro_gives_the_camera(bag, tmp_path, capsys):
     out = tmp_path / 'camera.json'
+    export = tmp_path / 'export'
     assert main(['intrinsics', str(bag), '--config', str(CONFIG), '--method', 'bundle', '--out',
-                 str(out)]) == 3
+                 str(out), '--export', str(export)]) == 3
     result = json.loads(out.read_text())
+    info = yaml.safe_load((export / 'camera_info.yaml').read_text())
+    pitch_mm = SCENARIO.camera.pixel_pitch_mm
+    assert info['camera_matrix']['data'][0] * pitch_mm == pytest.approx(
+        result['intrinsics']['f_mm'])
+    assert sorted(path.name for path in export.iterdir()) == [
+        'camchain.yaml', 'camera_info.yaml', 'cameras.txt', 'opencv.yaml']
     error = np.array([result['intrinsics'][key] for key in INTRINSICS_KEYS]) - TRUE
     assert error @ np.linalg.solve(result['covariance'], error) < 24.3  # 0.999 of chi-square, 7
     assert result['counts']['frames'] == 300 and result['method'] == 'bundle'

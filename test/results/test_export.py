@@ -25,7 +25,10 @@ WALK = 'estimator.process_noise.gyro_bias_deg_h_sqrt_h'
 
 @pytest.fixture(scope='module')
 def files():
-    return {name: yaml.safe_load(text) for name, text in export.files(RESULT, TAN2018).items()}
+    texts = export.files(RESULT, TAN2018)
+    assert sorted(texts) == sorted(export.NAMES)
+    return {name: yaml.safe_load(texts[name]) for name in (
+        'camera_info.yaml', 'camchain.yaml', 'imu.yaml')}
 
 
 def opencv(points_o, K, D):
