@@ -12,7 +12,7 @@ from instruments import TOP
 from starcal_ros.cli import main
 
 NIGHT = TOP / 'examples' / 'night'
-TEXT = (TOP / 'docs' / 'tutorial.md').read_text()
+TEXT = (TOP / 'docs' / 'howto' / 'tutorial.md').read_text()
 
 
 @pytest.fixture(scope='module')

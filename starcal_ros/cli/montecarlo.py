@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='SUMMARY.json', default='montecarlo.json',
                         help='summary to write; all runs go into an .npz file beside it '
                         '(default: %(default)s)')
+    outputs.add_report(parser)
     outputs.add_overwrite(parser)
     cluster.add_dask(parser)
     arguments.add_json(parser, 'what --out writes')
@@ -45,7 +46,9 @@ def run(options: argparse.Namespace) -> int:
         montecarlo.MonteCarlo.of(scenario, options.runs, options.sweep), judged=options.verdicts)
     out = Path(options.out)
     parts = out.with_name(out.name + '.parts')
-    outputs.claim([out, out.with_suffix('.npz')], [options.config], options.overwrite, parts)
+    outputs.claim([out, out.with_suffix('.npz'), *outputs.reports(options)], [options.config],
+                  options.overwrite, parts)
+    outputs.check_reports(options)
     with cluster.spread(options.dask), progress('running') as on_progress:
         results = montecarlo.run(study, parts, on_progress, bounded=True)
     summary = montecarlo.finish(study, results, out, parts)
@@ -53,5 +56,11 @@ def run(options: argparse.Namespace) -> int:
     for point in summary.get('points', [summary]):
         title = f'{study.key} = {point[study.key]}' if study.key else str(options.config or '')
         show(report.study(point, title))
+    if options.report or options.light_report:
+        from starcal_ros.report import write
+        from starcal_ros.report.calibration import called
+        from starcal_ros.report.montecarlo_page import montecarlo_page
+        write.write(montecarlo_page(summary, called(options.config or 'tan2018.yaml'),
+                                    options.line), options.report, options.light_report)
     show_json(summary)
     return 0
