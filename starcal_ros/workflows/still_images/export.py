@@ -79,7 +79,7 @@ def _wcs(source: Source, found: StillImageCamera, image: AimedImage) -> wcs.Wcs:
         """Return where the observer sees ICRS directions: aberration and air."""
         nought = np.zeros(len(u_i))
         stars = Catalog(np.arange(len(u_i)), np.arctan2(u_i[:, 1], u_i[:, 0]),
-                        np.arcsin(np.clip(u_i[:, 2], -1.0, 1.0)), nought, nought, nought, nought)
+                        np.arcsin(np.clip(u_i[:, 2], -1.0, 1.0)), nought, nought, nought, nought, nought)
         return apparent_places(stars, stars.hip, [stamp_ns], [len(u_i)],
                                observer(found.scenario.observer))
 
