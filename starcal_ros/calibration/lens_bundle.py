@@ -13,15 +13,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations, adjust
 from starcal_ros.calibration.bundle_start import attitudes, identified
 from starcal_ros.config.models import detector, nominal_camera, own_focal_sigma_mm, star_gate
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import lenses
+from starcal_ros.core import lenses, pixel_phase
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.lenses.model import LensModel
+from starcal_ros.core.lenses.phased import SIGMA_PX, PhasedLens
 from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples
@@ -58,7 +60,7 @@ class LensStart(NamedTuple):
         return int(np.count_nonzero(np.diag(self.covariance)))
 
 
-def start_of(name: str, scenario: Scenario) -> LensStart:
+def start_of(name: str, scenario: Scenario, phase: bool = False) -> LensStart:
     """Return a lens model with the nominal focal length and principal point of a scenario.
 
     Of a model in pixels ``intrinsics.estimate`` holds u0, v0 and f where it leaves them out; its
@@ -70,7 +72,15 @@ def start_of(name: str, scenario: Scenario) -> LensStart:
         One of `lenses.NAMES`.
     scenario : Scenario
         Nominal camera and its initial sigmas.
+    phase : bool
+        Estimate the pixel phase, too.
     """
+    if phase:
+        optics = start_of(name, scenario)
+        return LensStart(
+            PhasedLens(optics.lens, detector(scenario.camera)),
+            np.append(optics.values, np.zeros(len(pixel_phase.NAMES))),
+            block_diag(optics.covariance, SIGMA_PX**2 * np.eye(len(pixel_phase.NAMES))))
     nominal, pitch_mm = nominal_camera(scenario), scenario.camera.pixel_pitch_mm
     own_mm = own_focal_sigma_mm(scenario)
     if name == lenses.PLUMB_BOB:

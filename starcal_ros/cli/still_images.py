@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 _LENSES = (*NAMES, 'auto')
 _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars', 'annotate', 'utc_offset')
-_OF_BOTH = ('lens', 'fov', 'epoch', 'aberration', 'site', 'pressure', 'temperature', 'report',
-            'light_report')
+_OF_BOTH = ('lens', 'pixel_phase', 'fov', 'epoch', 'aberration', 'site', 'pressure',
+            'temperature', 'report', 'light_report')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     images.add_argument('--lens', choices=_LENSES, metavar='NAME',
                         help=f'lens model of the method bundle ({", ".join(_LENSES)}); auto: that '
                         'which predicts stars best; default: plumb_bob')
+    images.add_argument('--pixel-phase', action='store_true',
+                        help='estimate how centroids depend on where in a pixel a star falls, too '
+                        '(method bundle)')
     images.add_argument('--epoch', metavar='TIME',
                         help='when they were taken, ISO 8601, UTC, whatever their files say '
                         '(DATE-OBS of FITS, EXIF); where neither tells: 2020, for the proper '
@@ -154,12 +157,13 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
                                     for name, why in source.left_out.items())):
         say(f'warning: {text}')
     with progress('calibrating') as on_progress:
-        first = pipeline.calibrate(source, parameters=given, lens=_lens(options))
+        first = pipeline.calibrate(source, parameters=given, lens=_lens(options),
+                                   phase=options.pixel_phase)
         on_progress(1.0)
     found, outcome = first
     _show(source, outcome, bool(source.others))
     others = [each for other in source.others
-              if (each := _other(other, given, _lens(options))) is not None]
+              if (each := _other(other, given, options)) is not None]
     if source.others:
         outcome['other_cameras'] = [each.outcome for each in others]
     if options.export:
@@ -204,14 +208,16 @@ def _drawn(options: argparse.Namespace, images: Sequence[Measured],
     return drawn
 
 
-def _other(source: Source, given: dict[str, Any], lens: str) -> Calibrated | None:
+def _other(source: Source, given: dict[str, Any], options: argparse.Namespace
+           ) -> Calibrated | None:
     """Calibrate and show another camera of the folder; None where that is not possible."""
     from starcal_ros.results.result import CalibrationError
     from starcal_ros.workflows.still_images import pipeline
     for text in source.notices:
         say(f'warning: {text}')
     try:
-        calibrated = pipeline.calibrate(source, parameters=given, lens=lens)
+        calibrated = pipeline.calibrate(source, parameters=given, lens=_lens(options),
+                                        phase=options.pixel_phase)
     except CalibrationError as error:
         say(f'warning: {source.label}: {error}')
         return None

@@ -63,6 +63,9 @@ class AugmentConfig:
     time_offset_sigma_s: Annotated[float | None, Spec(
         'Initial sigma of tau, the time offset of the star tracker: a frame stamped t shows the '
         'sky of t + tau', 's', _TINY, 1.0)] = None
+    pixel_phase_sigma_px: Annotated[float | None, Spec(
+        'Initial sigma of the amplitudes of sine and cosine, along u and v, by which centroids '
+        'depend on where in a pixel a star falls', 'px', _TINY, 1.0)] = None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.core import camera, rotation
+from starcal_ros.core import camera, pixel_phase, rotation
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.filter.augmentation import Augmentation
@@ -86,6 +86,13 @@ def _offset_imaged(truth: Truth, middle_ns: Ints, u_i: Array) -> Array:
     return moved[..., None] / (2 * _OFFSET_NS * NS)
 
 
+def _phase_imaged(truth: Truth, middle_ns: Ints, u_i: Array) -> Array:
+    """Return how the image moves with the amplitudes of the pixel phase."""
+    C_si = truth.mounting_at(middle_ns) @ np.swapaxes(truth.motion.attitude(middle_ns), -1, -2)
+    uv = camera.project((C_si @ u_i[..., None])[..., 0], truth.intrinsics, truth.detector.pitch_mm)
+    return pixel_phase.waves(uv + truth.detector.centre_raster)
+
+
 def gain(truth: Truth) -> Array:
     """Return G = (I + M)^-1, (3, 3): the rate of g is G (reading - bias)."""
     return np.linalg.inv(np.eye(3) + truth.gyro_matrix).astype(np.float64)
@@ -97,5 +104,7 @@ EVALUATED = {
     # A frame taken at t shows the sky of t + tau.
     'time_offset_sigma_s': Evaluated(lambda truth: np.array([-truth.unknown_offset]),
                                      imaged=_offset_imaged),
+    # The simulated centroids have none.
+    'pixel_phase_sigma_px': Evaluated(lambda truth: np.zeros(4), imaged=_phase_imaged),
 }
 """By the `key` of the state."""

@@ -19,10 +19,11 @@ from starcal_ros.config.estimator import AugmentConfig
 from starcal_ros.core.arrays import Array
 from starcal_ros.filter.gyro_matrix import GyroMatrix
 from starcal_ros.filter.optional_state import OptionalState
+from starcal_ros.filter.pixel_phase import PixelPhase
 from starcal_ros.filter.states import N_STATES, SCALE
 from starcal_ros.filter.time_offset import TimeOffset
 
-STATES: tuple[OptionalState, ...] = (GyroMatrix(), TimeOffset())
+STATES: tuple[OptionalState, ...] = (GyroMatrix(), TimeOffset(), PixelPhase())
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,7 @@ from starcal_ros.filter import arithmetic, reference
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.curvature import Curvature
+from starcal_ros.filter.optional_state import OptionalState
 from starcal_ros.filter.states import CALIBRATED, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
@@ -106,6 +107,9 @@ class Update(NamedTuple):
         Largest predicted spread of a centroid that was used, in its sigmas.
     linear : (...) bool array
         Whether the linear model held.
+    place : (..., n, 2) array
+        Where the stars are on the detector, for the tests of the model: as measured, or as
+        predicted where a state depends on that, for the noise of a centroid is no place [px].
     evidence : Evidence, optional
         What it said of the model, where asked for.
     """
@@ -117,6 +121,7 @@ class Update(NamedTuple):
     residual: Array
     spread: Array
     linear: Mask
+    place: Array
     evidence: kalman.Evidence | None = None
 
 
@@ -280,7 +285,7 @@ class Filter:
         Returns
         -------
         uv : (..., n, 2) array
-            Predicted centroids [px].
+            Predicted centroids, without what optional states displace measured ones by [px].
         H : (..., n, 2, 16 + m) array
             d uv / d error, its attitude part theta.
         in_view : (..., n) bool array
@@ -360,11 +365,15 @@ class Filter:
             left_out = self._left_out(belief, stars, C_si, left_out)
         trail = (self._turn_of_exposure(nominal) if self.trail_s
                  else np.zeros(nominal.bias.shape))
+        direct, place = self._displaced(belief, stars)
+        uv = stars.uv
+        if nominal.augmentation.on:
+            uv = uv - _times(direct, nominal.augmented[..., None, :])
         after = arithmetic.correct(
             runs(nominal.C_gi, 2), runs(nominal.bias, 1), runs(nominal.C_sg, 2),
             runs(nominal.intrinsics, 1), runs(belief.error, 1), runs(belief.root, 2),
             runs(C_si, 2), runs(shift, 2), runs(slopes, 2), runs(trail, 1), runs(stars.u_i, 2),
-            runs(stars.uv, 2), runs(stars.sigma, 1), runs(left_out, 1), self.scale,
+            runs(uv, 2), runs(stars.sigma, 1), runs(left_out, 1), runs(direct, 3), self.scale,
             self.detector.pitch_mm, self.cos_field, self.gate if gated else np.inf, self.feedback)
         found = reference.Corrected(*(runs.back(part) for part in after))
         if self.feedback:
@@ -373,7 +382,26 @@ class Filter:
         said = kalman.Evidence(found.z, found.H, found.M, found.L, found.root) if judged else None
         return Update(Belief(nominal, found.error, found.root), found.chi2, found.accepted,
                       found.nis, found.residual, found.spread,
-                      np.asarray(~left_out.any(axis=-1)), said)
+                      np.asarray(~left_out.any(axis=-1)), place, said)
+
+    def _displaced(self, belief: Belief, stars: Stars) -> tuple[Array, Array]:
+        """Return how measured centroids depend on the optional states, (..., n, 2, m).
+
+        And where the stars are, as `Update.place`.
+        """
+        among = belief.nominal.augmentation
+        direct = np.zeros((*stars.uv.shape, among.size))
+        displacing = [(state, place) for state, place, _ in among.errors()
+                      if type(state).displaced is not OptionalState.displaced]
+        if not displacing:
+            return direct, stars.uv
+        uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
+        uv = uv - _times(H, belief.error[..., None, :])
+        spread = (H * among.scale) @ belief.root[..., None, :, :]
+        sigma = np.where(in_view, np.sqrt(0.5 * np.sum(spread**2, axis=(-2, -1))), np.inf)
+        for state, place in displacing:
+            direct[..., place] = state.displaced(uv + self.detector.centre_raster, sigma)
+        return direct, np.where(in_view[..., None], uv, stars.uv)
 
     def _left_out(self, belief: Belief, stars: Stars, C_si: Array, nothing: Array) -> Array:
         """Return what the linear model leaves out of each centroid; most often nothing."""

@@ -39,7 +39,8 @@ from starcal_ros.filter import message_pass
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.changes import TOLD
-from starcal_ros.filter.hypotheses import CHANGING, HYPOTHESES, MISALIGNMENTS, SCALE_FACTORS, TIME
+from starcal_ros.filter.hypotheses import (CHANGING, HYPOTHESES, MISALIGNMENTS, PHASE_U, PHASE_V,
+                                           SCALE_FACTORS, TIME)
 from starcal_ros.filter.innovation_tests import NOISE_TESTS
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.noise import Noise
@@ -59,6 +60,7 @@ MOST = 3
 
 _WALK, _ADAPT = 'estimator.process_noise.', 'estimator.adapt'
 _TIME_S, _MATRIX_PPM = 0.01, 500.0      # initial sigmas, at least
+_PHASE_PX = 0.1         # initial sigma: a pixel has no larger error of that kind
 _WIDE = 3.0                             # sigma over the size that the bank has found
 _SIGMA = 1.1                            # ratio of two sigmas that makes no difference
 _POINTS = 0.25                          # of the best gain of the bank, for one to point
@@ -305,6 +307,8 @@ def _pointed(statistics: Sequence[Statistic], scenario: Scenario, tests: ModelTe
                                                  tests.size(MISALIGNMENTS)))
         yield Candidate('scale factors and misalignments of the gyros', {
             'estimator.augment.gyro_matrix_sigma_ppm': min(_rounded(sigma_ppm), 1e4)}, 9)
+    if augment.pixel_phase_sigma_px is None and points(names[PHASE_U], names[PHASE_V]):
+        yield Candidate('pixel phase', {'estimator.augment.pixel_phase_sigma_px': _PHASE_PX}, 4)
     for name, key, to in (
             ('random walk of the gyro bias', 'gyro_bias_deg_h_sqrt_h', CHANGING[:1]),
             ('random walk of the fixed angles', 'fixed_angles_arcsec_sqrt_h', CHANGING[1:3]),

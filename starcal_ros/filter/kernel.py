@@ -371,12 +371,12 @@ def bends(C_si: Array, u_i: Array, sigma: Array, error: Array, root: Array, intr
 
 @_jit('b1(f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], '
       'f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], '
-      'f8[::1], f8, f8, f8, b1, '
+      'f8[:,:,:,::1], f8[::1], f8, f8, f8, b1, '
       'f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], '
       'f8[:,::1], b1[:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], '
       'f8[:,:,::1])')
 def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, trail, u_i, uv, sigma,
-             left_out, scale, pitch_mm, cos_field, gate, feedback,
+             left_out, direct, scale, pitch_mm, cos_field, gate, feedback,
              error_after, root_after, C_gi_after, bias_after, C_sg_after, intrinsics_after, freed,
              chi2, accepted, residual, nis, spread, z_used, H_used, M_used, L):
     runs, n = error.shape
@@ -414,7 +414,7 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
                                   + H_s[i, 2] * shift[r, 2, j])
                     for j in range(m):
                         row[_N + j] = (H_s[i, 0] * slopes[r, 0, j] + H_s[i, 1] * slopes[r, 1, j]
-                                       + H_s[i, 2] * slopes[r, 2, j])
+                                       + H_s[i, 2] * slopes[r, 2, j] + direct[r, star, i, j])
                 else:
                     for j in range(3):
                         row[j] = H_s[i, j]
@@ -527,8 +527,8 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
 
 def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array, root: Array,
             C_si: Array, shift: Array, slopes: Array, trail: Array, u_i: Array, uv: Array,
-            sigma: Array, left_out: Array, scale: Array, pitch_mm: float, cos_field: float,
-            gate: float, feedback: bool) -> Corrected:
+            sigma: Array, left_out: Array, direct: Array, scale: Array, pitch_mm: float,
+            cos_field: float, gate: float, feedback: bool) -> Corrected:
     """Do as `reference.correct`; LinAlgError where what is believed is no covariance."""
     (runs, n), rows = error.shape, 2 * sigma.shape[1]
     after = Corrected(
@@ -538,7 +538,7 @@ def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Arr
         np.empty(runs), np.empty(runs), np.empty((runs, rows)), np.empty((runs, rows, n)),
         np.empty((runs, rows, n)), np.empty(root.shape))
     if not _correct(*map(ready, (C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes,
-                                 trail, u_i, uv, sigma, left_out, scale)),
+                                 trail, u_i, uv, sigma, left_out, direct, scale)),
                     pitch_mm, cos_field, gate, feedback, *after):
         raise np.linalg.LinAlgError("no Cholesky factor of I + M'M")
     return after
@@ -947,7 +947,8 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
                    np.empty((1, 2 * count, n)))
         if not _correct(
                 C_gi_1, bias, C_sg, intrinsics, error, root_1, C_si, shift, slopes, trail, u_i,
-                uv, deviation, np.zeros((1, count)), scale, pitch_mm, cos_field, gate, True,
+                uv, deviation, np.zeros((1, count)), np.empty((1, count, 2, 0)), scale, pitch_mm,
+                cos_field, gate, True,
                 error_2, root_2, C_gi_2, bias_2, C_sg_2, intrinsics_2, freed, chi2, accepted,
                 residual, nis, spread, z, H, M, L):
             return k

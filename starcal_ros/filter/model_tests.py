@@ -189,7 +189,7 @@ class ModelTests:
         found = arithmetic.judge(
             runs(said.z, 1), runs(said.H, 2), runs(said.M, 2), runs(said.L, 2), runs(said.root, 2),
             runs(responses.E, 2), runs(responses.s, 2), runs(responses.information, 3),
-            runs(predicted.C_si, 2), runs(rate, 1), runs(stars.u_i, 2), runs(stars.uv, 2),
+            runs(predicted.C_si, 2), runs(rate, 1), runs(stars.u_i, 2), runs(update.place, 2),
             runs(stars.sigma, 1), runs(magnitude, 1), runs(update.accepted, 1),
             runs(update.spread, 0), runs(update.nis, 0), self._half)
         # The scatter of a frame that is believed less is not what is stated.

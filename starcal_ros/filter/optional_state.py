@@ -113,6 +113,20 @@ class OptionalState:
         """Return how a turn (n, 3) of g depends on the values, (n, 3, k); None for not at all."""
         return None
 
+    def displaced(self, uv_raster: Array, sigma: Array) -> Array | None:
+        """Return how centroids depend on the values, (..., n, 2, k); None for not at all.
+
+        What is measured is displaced by that times the values.
+
+        Parameters
+        ----------
+        uv_raster : (..., n, 2) array
+            Predicted centroids [px].
+        sigma : (..., n) array
+            Of their errors, each axis [px].
+        """
+        return None
+
     def looked(self, values: Array, C_sg: Array, rate_g: Array) -> Looked | None:
         """Return what the state does to a frame; None for nothing.
 

@@ -252,8 +252,8 @@ def bends(C_si: Array, u_i: Array, sigma: Array, error: Array, root: Array, intr
 
 def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array, root: Array,
             C_si: Array, shift: Array, slopes: Array, trail: Array, u_i: Array, uv: Array,
-            sigma: Array, left_out: Array, scale: Array, pitch_mm: float, cos_field: float,
-            gate: float, feedback: bool) -> Corrected:
+            sigma: Array, left_out: Array, direct: Array, scale: Array, pitch_mm: float,
+            cos_field: float, gate: float, feedback: bool) -> Corrected:
     """Correct beliefs with a frame (T18 Eq. 23 to 26).
 
     Parameters
@@ -271,6 +271,8 @@ def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Arr
         The stars; infinite sigma for one that is not used.
     left_out : (r, n) array
         Standard deviation of what the linear model leaves out of each centroid [px].
+    direct : (r, n, 2, m) array
+        How the errors of the optional states displace each centroid.
     scale : (n,) array
         Of the states.
     pitch_mm, cos_field : float
@@ -281,6 +283,7 @@ def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Arr
         Free the values of the error.
     """
     predicted, H, seen = predict(C_si, shift, slopes, intrinsics, u_i, pitch_mm, cos_field)
+    H[..., LENS.stop:] += direct
     z = predicted - uv
     H_white, innovations = H, z - _apply(H, error)
     if trail.any():

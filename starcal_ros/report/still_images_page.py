@@ -185,8 +185,7 @@ def _distortion(found: StillImageCamera) -> PageSection:
         paragraph('How far the lens moves the image of a star from where the same lens without '
                   'distortion has it.'),
         charts([detector_charts.distortion_map('Estimated', detector(found.scenario.camera),
-                                               found.estimate.intrinsics,
-                                               lens=found.lens)]))
+                                               found.optics[1], lens=found.optics[0])]))
 
 
 def _coupling(outcome: dict[str, Any]) -> PageSection:

@@ -119,7 +119,8 @@ def test_a_further_state_is_one_entry(monkeypatch):
     """It has its sigma, its name, its column in H, against differences, beside the other two."""
     monkeypatch.setattr(augmentation, 'STATES', (*augmentation.STATES, Bowed()))
     on = augmentation.Augmentation.of(SimpleNamespace(
-        gyro_matrix_sigma_ppm=1000.0, time_offset_sigma_s=0.02, bow_sigma_arcsec=30.0))
+        gyro_matrix_sigma_ppm=1000.0, time_offset_sigma_s=0.02, pixel_phase_sigma_px=None,
+        bow_sigma_arcsec=30.0))
     assert on.size == 11 and on.names[-2:] == ('tau_s', 'bow_arcsec') and on.units[-1] == ARCSEC
     values = replace(some_values(), augmentation=on, augmented=np.append(
         some_values().augmented, 20.0 * ARCSEC))

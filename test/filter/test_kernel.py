@@ -65,7 +65,8 @@ def a_frame(m, trails=True, left_out=True, gate=np.inf, feedback=True, runs=RUNS
     return (C_gi, bias, C_sg, intrinsics, error if not feedback else 0.0 * error, root, C_si,
             shift, rng.normal(size=(runs, 3, m)), trails * 0.01 * rng.normal(size=(runs, 3)), u_i,
             uv + rng.normal(size=uv.shape), sigma,
-            left_out * 0.1 * (rng.random(sigma.shape) < 0.3), scale, DETECTOR.pitch_mm, 0.9, gate,
+            left_out * 0.1 * (rng.random(sigma.shape) < 0.3),
+            0.3 * rng.normal(size=(*uv.shape, m)), scale, DETECTOR.pitch_mm, 0.9, gate,
             feedback)
 
 

@@ -42,7 +42,7 @@ def camera(name):
 
 
 def write(path, name, images, seed=1, wrong=0.02, move=lambda uv: 0.0, faintest=4.5,
-          own_px=()):
+          own_px=(), sigma=SIGMA):
     """Write the stars of random looks at the sky through a lens, of focal lengths of their own."""
     rng, stars, (lens, values) = np.random.default_rng(seed), catalog.load(faintest), camera(name)
     u_i = apparent_places(stars, np.arange(len(stars)), np.array([unix_ns(EPOCH)]),
@@ -55,12 +55,12 @@ def write(path, name, images, seed=1, wrong=0.02, move=lambda uv: 0.0, faintest=
             seen = r_s[:, 2] > (-0.17 if name in FOCAL_PX else 0.64)     # 100 and 50 deg
             own = np.array([0, 0, own_px[k], *0.0 * values[3:]]) if own_px else 0.0
             uv = lens.project(r_s[seen], values + own)
-            uv += move(uv) + SIGMA * rng.standard_normal(uv.shape)
+            uv += move(uv) + sigma * rng.standard_normal(uv.shape)
             hip = np.where(rng.random(len(uv)) < wrong, rng.choice(stars.hip, len(uv)),
                            stars.hip[seen])
             for place, star in zip(uv, hip):
                 if PIXELS.contains(place):
-                    table.writerow([f'{k}.png', *(place + PIXELS.centre_raster), star, SIGMA])
+                    table.writerow([f'{k}.png', *(place + PIXELS.centre_raster), star, sigma])
     return path
 
 
@@ -156,6 +156,8 @@ def test_what_the_stars_do_not_tell_is_said(tmp_path, capsys):
 @pytest.mark.parametrize('words, culprit', [
     (['--lens', 'rational', '--method', 'angular_distance'],
      '--lens: rational needs the method bundle, got angular_distance'),
+    (['--pixel-phase', '--method', 'angular_distance'],
+     '--pixel-phase: needs the method bundle, got angular_distance'),
     (['--lens', 'lomography'], "invalid choice: 'lomography'"),
 ])
 def test_a_lens_that_can_not_be_is_refused(tmp_path, words, culprit, capsys):
@@ -166,6 +168,23 @@ def test_a_lens_that_can_not_be_is_refused(tmp_path, words, culprit, capsys):
     except SystemExit as ended:
         status = ended.code
     assert status == 2 and culprit in capsys.readouterr().err
+
+
+def test_pixels_that_draw_centroids_are_estimated_where_that_is_asked_for(tmp_path, capsys):
+    """0.05 px towards the middle of each pixel, as much as the noise."""
+    def drawn(uv):
+        return -0.05 * np.sin(2.0 * np.pi * (uv + PIXELS.centre_raster))
+    path = write(tmp_path / 's.csv', 'plumb_bob', 6, move=drawn, faintest=5.5, sigma=0.05)
+    status, found = calibrated(path)
+    assert status == 4 and 'mean over the pixel' in capsys.readouterr().out
+    assert found['fit_rms_px'] > 0.058 and 'su_px' not in found['parameters']
+    status, found = calibrated(path, '--pixel-phase', '--report', str(tmp_path / 'page.html'),
+                               '--export', str(tmp_path / 'export'))
+    assert status == 0 and found['fit_rms_px'] == pytest.approx(0.05, rel=0.05)
+    for key, true in (('su_px', -0.05), ('cu_px', 0.0), ('sv_px', -0.05), ('cv_px', 0.0),
+                      ('f_px', 900.0), ('k1', -0.1), ('k2', 0.05)):
+        assert abs(found[key] - true) < 4.5 * found['sigma'][key], key
+    assert 'OPENCV 1280 960' in (tmp_path / 'export' / 'cameras.txt').read_text()
 
 
 def test_the_page_shows_a_camera_that_is_no_pinhole(tmp_path):

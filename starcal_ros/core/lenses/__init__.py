@@ -11,6 +11,8 @@ All are a `model.LensModel`. ::
     kannala_brandt   a fisheye of f and k1 k2 k3 k4, OpenCV's fisheye
     polynomial       a polynomial of the field, fifth order                 field_polynomial.py
 
+`phased.PhasedLens` is any of them before pixels of which the phase is estimated.
+
 The filter's camera is T18's alone (`starcal_ros.core.camera`).
 """
 

@@ -33,6 +33,7 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.lenses import PLUMB_BOB
 from starcal_ros.core.lenses.model import LensModel
+from starcal_ros.core.lenses.phased import PhasedLens
 from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Stars
@@ -129,6 +130,13 @@ class StillImageCamera:
     def lens(self) -> LensModel:
         """What the camera is."""
         return self.start.lens
+
+    @property
+    def optics(self) -> tuple[LensModel, Array]:
+        """The lens without its pixels, and its values."""
+        if isinstance(self.lens, PhasedLens):
+            return self.lens.optics, self.estimate.intrinsics[:len(self.lens.optics.parameters)]
+        return self.lens, self.estimate.intrinsics
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -237,7 +245,7 @@ def focal_length_px(images: StillImages, width: int, height: int) -> float:
     return float(np.median(length[angle > 0.0] / angle[angle > 0.0]))
 
 
-def calibrate(images: StillImages, scenario: Scenario, lens: str = PLUMB_BOB
+def calibrate(images: StillImages, scenario: Scenario, lens: str = PLUMB_BOB, phase: bool = False
               ) -> StillImageCamera | None:
     """Calibrate the camera of still images by the method ``intrinsics.method``.
 
@@ -251,6 +259,8 @@ def calibrate(images: StillImages, scenario: Scenario, lens: str = PLUMB_BOB
         What is known of the camera, the observer, the method.
     lens : str
         Lens model, one of `lens.CHOICES`.
+    phase : bool
+        Estimate the pixel phase, too.
     """
     measured, stated, name = images.frames, 1.0, lens
     choice: LensChoice | None = None
@@ -262,7 +272,7 @@ def calibrate(images: StillImages, scenario: Scenario, lens: str = PLUMB_BOB
             if choice is None:
                 return None
             name = choice.chosen.name
-        start = lens_bundle.start_of(name, scenario)
+        start = lens_bundle.start_of(name, scenario, phase)
         method = lens_models.begin(start, scenario)
         method.add_frames(fitted.frames)
         estimate = method.estimate()

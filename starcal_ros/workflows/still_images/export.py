@@ -13,6 +13,7 @@ import numpy as np
 
 from starcal_ros.config.models import detector, observer
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.files.output import whole, write_text
 from starcal_ros.results import camera_files
 from starcal_ros.results.camera_files import colmap, wcs
@@ -55,9 +56,12 @@ def write(folder: str | PathLike[str], source: Source, found: StillImageCamera) 
 
 
 def _camera(found: StillImageCamera) -> ForeignCamera:
-    (f, cu, cv, *coefficients), _ = from_estimate(found.estimate, found.scenario, found.lens)
+    lens, values = found.optics
+    count = len(values)
+    (f, cu, cv, *coefficients), _ = from_estimate(CameraEstimate(
+        values, found.estimate.covariance[:count, :count], 0, 0), found.scenario, lens)
     pixels = detector(found.scenario.camera)
-    return ForeignCamera(found.lens.name, pixels.width, pixels.height, float(f),
+    return ForeignCamera(lens.name, pixels.width, pixels.height, float(f),
                          (float(cu), float(cv)), tuple(map(float, coefficients)))
 
 
@@ -79,11 +83,12 @@ def _wcs(source: Source, found: StillImageCamera, image: AimedImage) -> wcs.Wcs:
         """Return where the observer sees ICRS directions: aberration and air."""
         nought = np.zeros(len(u_i))
         stars = Catalog(np.arange(len(u_i)), np.arctan2(u_i[:, 1], u_i[:, 0]),
-                        np.arcsin(np.clip(u_i[:, 2], -1.0, 1.0)), nought, nought, nought, nought, nought)
+                        np.arcsin(np.clip(u_i[:, 2], -1.0, 1.0)), *(nought,) * 5)
         return apparent_places(stars, stars.hip, [stamp_ns], [len(u_i)],
                                observer(found.scenario.observer))
 
-    return wcs.of_image(found.lens, image.values, image.C_si,
+    lens, values = found.optics
+    return wcs.of_image(lens, image.values[:len(values)], image.C_si,
                         detector(found.scenario.camera), seen,
                         bool(source.details.get('flipped', False)), _cards(source, image.name))
 

@@ -14,7 +14,7 @@ from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import star_gate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import lenses
-from starcal_ros.core.lenses import PLUMB_BOB
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.workflows.still_images.table import StillImages
 
@@ -28,7 +28,7 @@ _REFUSED = 0.05         # share of the stars from which the lens model is looked
 
 def begin(start: LensStart, scenario: Scenario) -> CameraMethod:
     """Begin the method of a scenario, or the bundle adjustment of another lens model."""
-    if start.lens.name == PLUMB_BOB:
+    if isinstance(start.lens, Tan2018Lens):
         return calibration.begin(scenario)
     return LensBundle(scenario, start)
 

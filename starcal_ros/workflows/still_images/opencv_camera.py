@@ -12,10 +12,12 @@ import numpy as np
 
 from starcal_ros.config.models import detector
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import pixel_phase
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.lenses import PLUMB_BOB
 from starcal_ros.core.lenses.model import LensModel
+from starcal_ros.core.lenses.phased import PhasedLens
 from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.core.units import DEG
 from starcal_ros.messages.conventions import camera_info
@@ -28,11 +30,15 @@ IN_OURS = ('f', 'u0', 'v0', 'k1', 'k2', 'p2', 'p1')
 
 def keys(lens: LensModel) -> tuple[str, ...]:
     """Return the parameters of a lens model in results, as KEYS has those of the five terms."""
+    if isinstance(lens, PhasedLens):
+        return (*keys(lens.optics), *(f'{name}_px' for name in pixel_phase.NAMES))
     return KEYS if lens.name == PLUMB_BOB else (*KEYS[:3], *lens.parameters[3:])
 
 
 def in_ours(lens: LensModel) -> tuple[str, ...]:
     """Return the same, as the lens model calls them."""
+    if isinstance(lens, PhasedLens):
+        return (*in_ours(lens.optics), *pixel_phase.NAMES)
     return IN_OURS if lens.name == PLUMB_BOB else (*IN_OURS[:3], *lens.parameters[3:])
 
 
@@ -49,19 +55,25 @@ def from_estimate(estimate: CameraEstimate, scenario: Scenario, lens: LensModel 
         What the camera is; T18's where it is not said.
     """
     lens = lens or Tan2018Lens(scenario.camera.pixel_pitch_mm)
-    if lens.name != PLUMB_BOB:
-        order = [lens.parameters.index(name) for name in in_ours(lens)]
-        values = estimate.intrinsics.copy()
-        values[:2] += detector(scenario.camera).centre_raster
-        return values[order], estimate.covariance[np.ix_(order, order)]
-    info = camera_info(estimate.intrinsics, detector(scenario.camera))
-    f, (k1, k2, p1, p2, _) = estimate.intrinsics[2], info.D
+    order = [lens.parameters.index(name) for name in in_ours(lens)]
+    values = estimate.intrinsics.copy()
+    J = np.eye(len(values))
+    if lens.name == PLUMB_BOB:
+        values[:7], J[:7, :7] = _plumb_bob(values[:7], scenario)
+        return values, J @ estimate.covariance @ J.T
+    values[:2] += detector(scenario.camera).centre_raster
+    return values[order], estimate.covariance[np.ix_(order, order)]
+
+
+def _plumb_bob(intrinsics: Array, scenario: Scenario) -> tuple[Array, Array]:
+    """Return the camera of T18 in the order of KEYS, (7,), and its derivatives."""
+    info = camera_info(intrinsics, detector(scenario.camera))
+    f, (k1, k2, p1, p2, _) = intrinsics[2], info.D
     J = np.zeros((7, 7))
     J[0, 2], J[1, 0], J[2, 1] = 1.0 / scenario.camera.pixel_pitch_mm, 1.0, 1.0
     J[3, 3], J[4, 4], J[5, 6], J[6, 5] = f**2, f**4, f, f
     J[3:, 2] = 2.0 * k1 / f, 4.0 * k2 / f, p1 / f, p2 / f
-    return (np.array([info.K[0], info.K[2], info.K[5], k1, k2, p1, p2]),
-            J @ estimate.covariance @ J.T)
+    return np.array([info.K[0], info.K[2], info.K[5], k1, k2, p1, p2]), J
 
 
 def focal_length_of_field(fov_deg: float, width: int) -> float:

@@ -245,8 +245,8 @@ def of_table(stars_csv: str | PathLike[str], width: int, height: int,
 
 
 def calibrate(source: Source, method: str = 'bundle',
-              parameters: Mapping[str, Any] | None = None, lens: str = lenses.PLUMB_BOB
-              ) -> Calibrated:
+              parameters: Mapping[str, Any] | None = None, lens: str = lenses.PLUMB_BOB,
+              phase: bool = False) -> Calibrated:
     """Calibrate the camera of still images.
 
     Parameters
@@ -259,6 +259,8 @@ def calibrate(source: Source, method: str = 'bundle',
         Other parameters of the scenario, by name, such as ``intrinsics.estimate``.
     lens : str
         Lens model, one of `lens.CHOICES`; others than T18's need the bundle adjustment.
+    phase : bool
+        Estimate the pixel phase, too, which needs that as well.
 
     Raises
     ------
@@ -271,7 +273,9 @@ def calibrate(source: Source, method: str = 'bundle',
     method, site = scenario.intrinsics.method, source.conditions.site
     if method != 'bundle' and lens != lenses.PLUMB_BOB:
         raise ConfigError(f'--lens: {lens} needs the method bundle, got {method}')
-    found = calibration.calibrate(source.images, scenario, lens)
+    if method != 'bundle' and phase:
+        raise ConfigError(f'--pixel-phase: needs the method bundle, got {method}')
+    found = calibration.calibrate(source.images, scenario, lens, phase)
     if found is None:
         raise CalibrationError(
             f'{source.name}: no camera from {len(source.images.names)} images with '
