@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 import sys
 from typing import Any
@@ -52,9 +53,30 @@ def read(path: Path) -> Iterator[Plane]:
                         focal_px=focal_hint.of_exif(exif, *size))
 
 
-def _pixels(path: Path, picture: Image.Image, page: int) -> tuple[NDArray[Any], Scale]:
+def decoded(data: bytes, formats: tuple[str, ...]) -> NDArray[Any]:
+    """Return the pixels of an image in memory, (height, width) or with colours behind.
+
+    Parameters
+    ----------
+    data : bytes
+        As a file has them.
+    formats : tuple of str
+        Those that are allowed, as Pillow calls them.
+
+    Raises
+    ------
+    ValueError, OSError
+        Where it can not be read; Pillow raises of other kinds on damaged files.
+    """
+    with Image.open(BytesIO(data), formats=formats) as picture:
+        IMAGE.check(picture.width * picture.height, 'an image')
+        return _pixels(BytesIO(data), picture, 0)[0]
+
+
+def _pixels(path: Path | BytesIO, picture: Image.Image, page: int) -> tuple[NDArray[Any], Scale]:
     raw = _raw_mode(picture)
-    if picture.format == 'PPM' and picture.mode == 'RGB' and _tiles(picture)[0][0] == 'ppm':
+    if isinstance(path, Path) and picture.format == 'PPM' and picture.mode == 'RGB' and (
+            _tiles(picture)[0][0] == 'ppm'):
         return _wide_ppm(path, picture)
     if raw.startswith('LA;16'):
         raise ValueError('16 bits of grey with alpha: save it without alpha')

@@ -25,6 +25,7 @@ from starcal_ros.imaging.pixels import grey
 from starcal_ros.messages.cdr import ENCAPSULATION, RecordError
 
 IMAGE_TYPE = 'sensor_msgs/msg/Image'
+COMPRESSED_TYPE = 'sensor_msgs/msg/CompressedImage'
 
 # Type of a channel, number of channels, which of them are red, green and blue.
 _ENCODINGS = {

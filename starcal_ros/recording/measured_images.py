@@ -13,7 +13,8 @@ from starcal_ros.imaging.spot_meter import SpotMeter
 from starcal_ros.measurements.message_source import MessageSource
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages.cdr import Messages, RecordError
-from starcal_ros.messages.cdr_image import decode_image
+from starcal_ros.messages.cdr_compressed_image import decoder
+from starcal_ros.messages.cdr_image import IMAGE_TYPE, ImageMessage
 
 _DIGEST_BYTES = 16
 
@@ -24,7 +25,7 @@ def as_measured(scenario: Scenario) -> Scenario:
 
 
 class ImageMeter:
-    """Turns sensor_msgs/Image in CDR into star frames, for `reader.read`; each image once.
+    """Turns images in CDR into star frames, for `reader.read`; each image once.
 
     Its frames are those that the node ``centroid_extractor`` would have made of the images, and,
     after `identify`, ``star_identifier``. They are remembered: a recording may be read again.
@@ -40,8 +41,8 @@ class ImageMeter:
         self._meter = SpotMeter(scenario)
         self._frames: dict[bytes, Frames] = {}
 
-    def __call__(self, messages: Messages) -> Frames:
-        """Return one frame a message.
+    def __call__(self, messages: Messages, message_type: str = IMAGE_TYPE) -> Frames:
+        """Return one frame a message, which are images of one type.
 
         Raises
         ------
@@ -49,11 +50,12 @@ class ImageMeter:
             Where an image can not be measured.
         """
         found = []
+        decode = decoder(message_type)
         for start, size in zip(messages.start.tolist(), messages.size.tolist()):
             message = messages.data[start:start + size].tobytes()
             digest = hashlib.blake2b(message, digest_size=_DIGEST_BYTES).digest()
             if digest not in self._frames:
-                self._frames[digest] = self._measured(message)
+                self._frames[digest] = self._measured(decode(message))
             found.append(self._frames[digest])
         return Frames.concatenate(found)
 
@@ -76,8 +78,8 @@ class ImageMeter:
                         for digest, frame in self._frames.items()}
         return numbered
 
-    def _measured(self, message: bytes) -> Frames:
-        stamp_ns, _, counts, pattern = decode_image(message)
+    def _measured(self, image: ImageMessage) -> Frames:
+        stamp_ns, _, counts, pattern = image
         try:
             return self._meter.measure(counts, stamp_ns, pattern)[0]
         except ValueError as error:

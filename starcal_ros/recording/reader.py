@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.messages.cdr import Messages, RecordError, stamps_ns
+from starcal_ros.messages.cdr import RecordError, stamps_ns
 from starcal_ros.messages.cdr_imu import decode_imu
 from starcal_ros.recording.bag import Bag, described, open_bag
 from starcal_ros.recording.recording_stream import RecordingStream
@@ -111,7 +111,7 @@ class Summary:
 
 
 def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
-         needs_gyro: bool = True, measure: Callable[[Messages], Frames] | None = None,
+         needs_gyro: bool = True, measure: Callable[..., Frames] | None = None,
          images_first: bool = False, choice: TopicChoice = TopicChoice()) -> Recording:
     """Read the gyro samples and star frames of a recording.
 
@@ -130,7 +130,8 @@ def read(path: str | Path, on_progress: Callable[[float], None] | None = None,
     needs_gyro : bool
         Refuse a recording without gyro readings.
     measure : callable, optional
-        Takes sensor_msgs/Image in CDR and returns their star frames, one a message.
+        Takes images in CDR, and their ``message_type``, sensor_msgs/Image or CompressedImage;
+        returns their star frames, one a message.
     images_first : bool
         Measure the images even where there are centroids.
     choice : TopicChoice

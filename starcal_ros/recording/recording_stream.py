@@ -9,7 +9,7 @@ of a file whose chunks follow each other in time, however long it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 import hashlib
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -59,7 +59,7 @@ class RecordingStream:
     """
 
     def __init__(self, path: str | Path, needs_gyro: bool = True,
-                 measure: Callable[[Messages], Frames] | None = None, images_first: bool = False,
+                 measure: Callable[..., Frames] | None = None, images_first: bool = False,
                  choice: TopicChoice = TopicChoice()) -> None:
         self.path = Path(path)
         self._bag = open_bag(self.path)
@@ -75,7 +75,7 @@ class RecordingStream:
             raise RecordError('; '.join((str(error), *self._bag.warnings))) from None
         self._topics = [*([gyro] if gyro else []), frames]
         self.gyro_topic, self.frames_topic = gyro.name if gyro else '', frames.name
-        self.measured = measure is not None and self._decode is measure
+        self.measured = self._decode is not decode_centroids
         self.frame_ids: dict[str, str | None] = {}
         self._counted: dict[str, int] | None = None
         found = [(GYRO, gyro, choice.gyro), (
@@ -200,7 +200,7 @@ def _inside(log_time: Ints, within: Sequence[Span]) -> Mask:
     return np.asarray((at >= 0) & (log_time <= ends[at, 1]))
 
 
-def _frames_topic(bag: Bag, path: Path, measure: Callable[[Messages], Frames] | None,
+def _frames_topic(bag: Bag, path: Path, measure: Callable[..., Frames] | None,
                   images_first: bool, choice: TopicChoice
                   ) -> tuple[RecordedTopic, Callable[[Messages], Frames]]:
     """Find the topic of the star frames, and what makes frames of its messages."""
@@ -210,5 +210,6 @@ def _frames_topic(bag: Bag, path: Path, measure: Callable[[Messages], Frames] | 
             choice.images is not None or images and (
                 not stars or images[0].name.endswith(IMAGE.topic)
                 and not stars[0].name.endswith(FRAMES.topic)))):
-        return choose(bag, IMAGE, path, choice.images), measure
+        topic = choose(bag, IMAGE, path, choice.images)
+        return topic, partial(measure, message_type=topic.type)
     return choose(bag, FRAMES, path, choice.frames), decode_centroids

@@ -12,7 +12,7 @@ from pathlib import Path
 from starcal_ros.imaging.picture import Picture, Plane
 from starcal_ros.imaging.pixels import Scale
 from starcal_ros.messages.cdr import RecordError
-from starcal_ros.messages.cdr_image import decode_image
+from starcal_ros.messages.cdr_compressed_image import decoder
 from starcal_ros.recording.bag import open_bag
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT
 from starcal_ros.recording.topic_choice import FRAMES, GYRO, IMAGE, candidates, choose
@@ -44,11 +44,12 @@ def pictures(path: str | PathLike[str]) -> Iterator[Picture | str]:
     """
     bag = open_bag(Path(path))
     topic = choose(bag, IMAGE, Path(path))
+    decode = decoder(topic.type)
     for stretch in bag.in_order([topic.name]):
         for _, _, messages in stretch.messages:
             for start, size in zip(messages.start.tolist(), messages.size.tolist()):
                 try:
-                    stamp_ns, _, pixels, pattern = decode_image(
+                    stamp_ns, _, pixels, pattern = decode(
                         messages.data[start:start + size].tobytes())
                     taken = datetime.fromtimestamp(stamp_ns // 1000 / 1e6, timezone.utc)
                     yield Picture.of(Plane(pixels, Scale.of(pixels.dtype), taken, pattern))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from starcal_ros.messages.cdr import RecordError
-from starcal_ros.messages.cdr_image import IMAGE_TYPE
+from starcal_ros.messages.cdr_image import COMPRESSED_TYPE, IMAGE_TYPE
 from starcal_ros.messages.cdr_imu import IMU_TYPE
 from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE
 from starcal_ros.messages.topics import (ATTITUDE, CENTROIDS, IMAGES, IMU, RESIDUALS, SPOTS,
@@ -24,16 +24,24 @@ _NOT_OF_SENSORS = tuple(topic.recorded for topic in (
 
 
 class Role(NamedTuple):
-    """What a topic can be: the option that names it, its own name in the suite, its type."""
+    """What a topic can be: the option that names it, its own name in the suite, its type.
+
+    And another type that is read as well, where there is no topic of the first.
+    """
 
     option: str
     topic: str
     type: str
+    other: str = ''
+
+    def takes(self, type_: str) -> bool:
+        """Tell whether messages of a type are read."""
+        return type_ in (self.type, self.other or self.type)
 
 
 GYRO = Role('--gyro-topic', IMU.recorded, IMU_TYPE)
 FRAMES = Role('--frames-topic', CENTROIDS.recorded, CLOUD_TYPE)
-IMAGE = Role('--image-topic', IMAGES.recorded, IMAGE_TYPE)
+IMAGE = Role('--image-topic', IMAGES.recorded, IMAGE_TYPE, COMPRESSED_TYPE)
 
 
 class TopicChoice(NamedTuple):
@@ -51,13 +59,14 @@ def candidates(topics: list[RecordedTopic], role: Role, given: str | None = None
         return [topic for topic in topics if topic.name == '/' + given.lstrip('/')]
     return ([topic for topic in topics if topic.name == role.topic]
             or [topic for topic in topics if topic.name.endswith(role.topic)]
+            or [topic for topic in of_type(topics, role) if topic.type == role.type]
             or of_type(topics, role))
 
 
 def of_type(topics: list[RecordedTopic], role: Role) -> list[RecordedTopic]:
     """Return the topics that may come from such a sensor, by their type."""
     return [topic for topic in topics
-            if topic.type == role.type and not topic.name.endswith(_NOT_OF_SENSORS)]
+            if role.takes(topic.type) and not topic.name.endswith(_NOT_OF_SENSORS)]
 
 
 def choose(bag: Bag, role: Role, path: Path, given: str | None = None) -> RecordedTopic:
@@ -80,9 +89,9 @@ def choose(bag: Bag, role: Role, path: Path, given: str | None = None) -> Record
         listed = ', '.join(topic.name for topic in topics) or 'no topics'
         raise RecordError(f'{path} has no topic {given or role.topic}; it has {listed}')
     topic, = found
-    if topic.type and topic.type != role.type:      # none: without a schema
+    if topic.type and not role.takes(topic.type):   # none: without a schema
         raise RecordError(f'{path}: {topic.name} is of type {topic.type or "unknown"}, '
-                          f'not {role.type}')
+                          f'not {role.type}' + (f' or {role.other}' if role.other else ''))
     if topic.encoding != 'cdr':
         raise RecordError(f"{path}: {topic.name} has encoding '{topic.encoding}', not 'cdr'")
     return topic

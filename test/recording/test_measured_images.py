@@ -6,6 +6,7 @@ from dataclasses import replace
 import json
 import shutil
 
+from compressed_images import compressed
 from mcap.reader import make_reader
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from starcal_ros.core.utc import unix_ns
 from starcal_ros.imaging.files import load
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.messages.cdr import RecordError
-from starcal_ros.messages.cdr_image import IMAGE_TYPE, encode_image
+from starcal_ros.messages.cdr_image import COMPRESSED_TYPE, IMAGE_TYPE, decode_image, encode_image
 from starcal_ros.messages.cdr_pointcloud import encode_centroids
 from starcal_ros.recording import reader
 from starcal_ros.recording.measured_images import ImageMeter
@@ -75,6 +76,37 @@ def test_frames_are_those_of_the_images(bag):
     assert (np.diff(frames.stamp_ns) == 500_000_000).all() and not recording.warnings
     assert frames.star_counts.min() > 20 and not frames.catalog_id.any()
     assert 0.01 < np.median(frames.sigma) < 0.3
+
+
+def test_compressed_images_give_what_images_give(bag, tmp_path):
+    """PNG keeps all 16 bits; where both are there, the images that are not compressed are read."""
+    images = []
+    with bag.open('rb') as stream:
+        for _, _, message in make_reader(stream).iter_messages(['/star_tracker/image_raw']):
+            image = decode_image(message.data)
+            images.append((message.data, image.stamp_ns, compressed(
+                image.pixels, 'PNG', 'mono16; png compressed ', image.stamp_ns)))
+    expected = reader.read(bag, measure=measure(SCENARIO)).frames
+    path = tmp_path / 'compressed.mcap'
+    with Writer(path) as writer:
+        for _, stamp_ns, data in images:
+            writer.write('/star_tracker/image_raw/compressed', COMPRESSED_TYPE, data, stamp_ns)
+    recording = reader.read(path, needs_gyro=False, measure=measure(SCENARIO))
+    assert recording.frames_topic == '/star_tracker/image_raw/compressed'
+    np.testing.assert_array_equal(recording.frames.uv_raster, expected.uv_raster)
+    np.testing.assert_array_equal(recording.frames.stamp_ns, expected.stamp_ns)
+
+    path = tmp_path / 'both.mcap'
+    with Writer(path) as writer:
+        for raw, stamp_ns, data in images[:2]:
+            writer.write('/camera/image_raw', IMAGE_TYPE, raw, stamp_ns)
+            writer.write('/camera/image_raw/compressed', COMPRESSED_TYPE, data, stamp_ns)
+    recording = reader.read(path, needs_gyro=False, measure=measure(SCENARIO))
+    assert recording.frames_topic == '/camera/image_raw' and len(recording.frames) == 2
+    recording = reader.read(path, needs_gyro=False, measure=measure(SCENARIO), choice=TopicChoice(
+        images='/camera/image_raw/compressed'))
+    np.testing.assert_array_equal(recording.frames.uv_raster,
+                                  expected.take(np.arange(len(expected)) < 2).uv_raster)
 
 
 def test_images_are_measured_where_there_are_centroids_only_when_asked_for(tmp_path):
