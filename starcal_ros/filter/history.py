@@ -195,8 +195,8 @@ class HistoryKeeper:
 
     def _add_turns(self) -> None:
         C_gi = np.array(self._C_gi).reshape(-1, 3, 3)
-        self._turned += np.abs(rotation.log(
-            C_gi[1:] @ np.swapaxes(C_gi[:-1], -1, -2))).sum(axis=0)
+        for turn in np.abs(rotation.log(C_gi[1:] @ np.swapaxes(C_gi[:-1], -1, -2))):
+            self._turned += turn            # one by one: the same whatever the block
         self._C_gi = self._C_gi[-1:]
 
     def _end_block(self) -> None:

@@ -86,12 +86,12 @@ def test_compressed_images_give_what_images_give(bag, tmp_path):
             image = decode_image(message.data)
             images.append((message.data, image.stamp_ns, compressed(
                 image.pixels, 'PNG', 'mono16; png compressed ', image.stamp_ns)))
-    expected = reader.read(bag, measure=measure(SCENARIO)).frames
+    expected = reader.read(bag, measure=ImageMeter(SCENARIO)).frames
     path = tmp_path / 'compressed.mcap'
     with Writer(path) as writer:
         for _, stamp_ns, data in images:
             writer.write('/star_tracker/image_raw/compressed', COMPRESSED_TYPE, data, stamp_ns)
-    recording = reader.read(path, needs_gyro=False, measure=measure(SCENARIO))
+    recording = reader.read(path, needs_gyro=False, measure=ImageMeter(SCENARIO))
     assert recording.frames_topic == '/star_tracker/image_raw/compressed'
     np.testing.assert_array_equal(recording.frames.uv_raster, expected.uv_raster)
     np.testing.assert_array_equal(recording.frames.stamp_ns, expected.stamp_ns)
@@ -101,9 +101,9 @@ def test_compressed_images_give_what_images_give(bag, tmp_path):
         for raw, stamp_ns, data in images[:2]:
             writer.write('/camera/image_raw', IMAGE_TYPE, raw, stamp_ns)
             writer.write('/camera/image_raw/compressed', COMPRESSED_TYPE, data, stamp_ns)
-    recording = reader.read(path, needs_gyro=False, measure=measure(SCENARIO))
+    recording = reader.read(path, needs_gyro=False, measure=ImageMeter(SCENARIO))
     assert recording.frames_topic == '/camera/image_raw' and len(recording.frames) == 2
-    recording = reader.read(path, needs_gyro=False, measure=measure(SCENARIO), choice=TopicChoice(
+    recording = reader.read(path, needs_gyro=False, measure=ImageMeter(SCENARIO), choice=TopicChoice(
         images='/camera/image_raw/compressed'))
     np.testing.assert_array_equal(recording.frames.uv_raster,
                                   expected.take(np.arange(len(expected)) < 2).uv_raster)

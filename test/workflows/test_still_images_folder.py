@@ -58,6 +58,8 @@ def test_rendered_images_give_the_true_camera(folder, tmp_path, capsys):
     assert error @ np.linalg.solve(result['covariance'], error) < chi2.ppf(0.9999, 7)
     assert sigma[0] < 0.2
     assert result['counts']['images'] == 9 and len(result['images']) == 12
+    for parts in result['residual_trends'].values():
+        assert sum(part['stars'] for part in parts) > 0.9 * result['counts']['stars']
     assert [image['split'] for image in result['images']] == 3 * ['fit', 'fit', 'fit', 'heldout']
     # What the user states, whatever the files say.
     assert {image['utc'] for image in result['images']} == {EPOCH} and result['left_out'] == {}

@@ -26,6 +26,7 @@ from starcal_ros.calibration.camera_verdict import CameraVerdict
 from starcal_ros.calibration.lens_bundle import LensStart
 from starcal_ros.calibration.lens_choice import LensChoice
 from starcal_ros.calibration.residual_tests import Consistency, FittedStars
+from starcal_ros.calibration.residual_trends import trends
 from starcal_ros.config.models import detector, star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
@@ -38,6 +39,7 @@ from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
+from starcal_ros.sky import catalog
 from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images import lens as lens_models, one_camera, opencv_camera
 from starcal_ros.workflows.still_images.one_camera import OwnCamera
@@ -151,6 +153,16 @@ class StillImageCamera:
         return lens_bundle.start_of(self.choice.chosen.name, self.scenario)
 
     @property
+    def trends(self) -> dict[str, list[dict[str, Any]]]:
+        """How the residuals of fitted images depend on pixel, magnitude and colour."""
+        fit = self.fit
+        used, number = fit.adjusted.used, fit.catalog_id[fit.adjusted.used]
+        stars = catalog.load_containing(number)
+        return trends(fit.stars.uv + detector(self.scenario.camera).centre_raster,
+                      fit.adjusted.residual[used], fit.stars.magnitude,
+                      stars.colour[stars.rows(number)])
+
+    @property
     def refused(self) -> float:
         """Share of the stars outside the gate."""
         return float(np.mean(~self.fit.adjusted.used))
@@ -185,6 +197,7 @@ class StillImageCamera:
                 name: {'f_px': f_px, 'sigma': sigma}
                 for name, (f_px, sigma) in zip(self.fit.names, self.own_f_px.tolist())}}),
             'lens_models': [each.as_dict() for each in self.choice.scores] if self.choice else [],
+            'residual_trends': self.trends,
             'each_image': [each.as_dict() for each in self.own],
             'counts': {'images': self.estimate.frames, 'stars': self.estimate.stars,
                        'rejected_stars': int((~self.fit.adjusted.used).sum()),
