@@ -146,13 +146,6 @@ class StillImageCamera:
         return opencv_camera.keys(self.lens)
 
     @property
-    def best_start(self) -> LensStart:
-        """The lens model, or that of those compared which predicts better by far."""
-        if self.choice is None or self.choice.test(self.lens.name).passed:
-            return self.start
-        return lens_bundle.start_of(self.choice.chosen.name, self.scenario)
-
-    @property
     def trends(self) -> dict[str, list[dict[str, Any]]]:
         """How the residuals of fitted images depend on pixel, magnitude and colour."""
         fit = self.fit

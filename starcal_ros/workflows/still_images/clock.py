@@ -4,8 +4,7 @@
 
 Refraction depends on where in the sky the images look, so on the clock and the site. The same
 stars are fitted with the clock some whole hours off, as a wrong zone has it, and without any air.
-It is done with the lens model that predicts best, where that of the camera is not what the lens
-does: a wrong one asks for another air.
+It is done with the lens model of the camera: one of more terms would take a wrong air for its own.
 With s^2 the mean square of what a fit leaves, m degrees of freedom ::
 
     g = m ln(s_0^2 / s^2)                                                              (K.1)
@@ -90,7 +89,7 @@ def look(images: StillImages, scenario: Scenario, zone_h: float, found: StillIma
     """
     some = np.zeros(len(images.names), bool)
     some[np.linspace(0, len(some) - 1, min(_IMAGES, len(some))).astype(int)] = True
-    frames, start = images.which(some).frames, found.best_start
+    frames, start = images.which(some).frames, found.start
     stated = _fit(frames, scenario, start, 0, None)
     if stated is None:
         return None
@@ -116,10 +115,9 @@ def look(images: StillImages, scenario: Scenario, zone_h: float, found: StillIma
         test = test._replace(fits=f'a clock at {zones}: RMS {rms[best.hours]:.3g} sigma at '
                              f'--utc-offset={zone_h - (best.hours or 0):g} against {rms[0]:.3g} '
                              'as stated')
-        if start is found.start:
-            moved = np.where(sigma > 0.0, (best.intrinsics - stated.intrinsics) / np.where(
-                sigma > 0.0, sigma, 1.0), 0.0)
-            factors = tuple((1.0 + moved**2).tolist())
+        moved = np.where(sigma > 0.0, (best.intrinsics - stated.intrinsics) / np.where(
+            sigma > 0.0, sigma, 1.0), 0.0)
+        factors = tuple((1.0 + moved**2).tolist())
     doubt = ''
     if gain.get(None, 0.0) > chance:
         doubt = (f'the site makes the fit worse: RMS {rms[0]:.3g} sigma, {rms[None]:.3g} without '
