@@ -8,6 +8,7 @@ import numpy as np
 
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.core.units import NS
 from starcal_ros.filter.verdict import INCONSISTENT
 from starcal_ros.report import (coverage_charts, detector_charts, projection_charts,
@@ -59,7 +60,9 @@ def projection(calibration: Calibration) -> list[PageSection]:
                   ' Right, by how much the calibration has moved the stars, a turn of all taken '
                   'out.' + doubt),
         charts([
-            projection_charts.camera_sigma(pixels, found, covariance[_CAMERA, _CAMERA]),
+            projection_charts.camera_sigmas(
+                pixels, found, covariance[_CAMERA, _CAMERA], Tan2018Lens(pixels.pitch_mm),
+                found[2] / pixels.pitch_mm)[0],
             projection_charts.direction_sigma(pixels, found, covariance[_STATES, _STATES]),
             projection_charts.change_map('Found less what it began with', pixels,
                                          intrinsics(calibration.scenario.camera), found)]))]

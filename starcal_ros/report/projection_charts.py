@@ -8,6 +8,7 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.report.chart import Chart
 from starcal_ros.report.detector_charts import colour_map, places, shift_map
@@ -17,12 +18,21 @@ from starcal_ros.results.comparison import turned_best
 _CELLS = 48             # of a map along each side of the detector
 
 
-def camera_sigma(detector: Detector, intrinsics: Array, covariance: Array) -> Chart:
-    """Return the map of the sigma of a place, each axis, by the camera alone."""
+def camera_sigmas(detector: Detector, values: Array, covariance: Array, lens: LensModel,
+                  f_px: float) -> tuple[Chart, Chart]:
+    """Return the maps of the sigma of a place by the camera alone, each axis, and as an angle.
+
+    The angle is by the scale in the middle, of a focal length f_px [px].
+    """
     place, uv = _grid(detector)
-    sigma = projection.sigma_px(uv, intrinsics, covariance, detector.pitch_mm)
-    return colour_map(f'Place of a direction: 1 sigma, {sigma.min():.2g} to {sigma.max():.2g} px',
-                      place, sigma, detector, 'px')
+    sigma = projection.sigma_px(uv, values, covariance, lens)
+    least, most = np.nanmin(sigma), np.nanmax(sigma)
+    scale = 1.0 / f_px / ARCSEC
+    return (colour_map(f'Place of a direction: 1 sigma, {least:.2g} to {most:.2g} px', place,
+                       sigma, detector, 'px'),
+            colour_map('The same as an angle: 1 sigma, '
+                       f'{scale * least:.2g} to {scale * most:.2g}″', place, scale * sigma,
+                       detector, '″'))
 
 
 def direction_sigma(detector: Detector, intrinsics: Array, covariance: Array) -> Chart:
@@ -32,16 +42,6 @@ def direction_sigma(detector: Detector, intrinsics: Array, covariance: Array) ->
     return colour_map(
         f'Direction of a pixel in the gyro axes: 1 sigma, {sigma.min():.2g} to {sigma.max():.2g}″',
         place, sigma, detector, '″')
-
-
-def camera_sigma_arcsec(detector: Detector, intrinsics: Array, covariance: Array) -> Chart:
-    """Return the map of `camera_sigma` as an angle, by the scale in the middle."""
-    place, uv = _grid(detector)
-    sigma = projection.sigma_px(uv, intrinsics, covariance, detector.pitch_mm)
-    sigma *= detector.pitch_mm / intrinsics[2] / ARCSEC
-    return colour_map(
-        f'The same as an angle: 1 sigma, {sigma.min():.2g} to {sigma.max():.2g}″', place, sigma,
-        detector, '″')
 
 
 def change_map(title: str, detector: Detector, before: Array, after: Array) -> Chart:

@@ -72,7 +72,9 @@ def _pictures(drawn: Sequence[Annotated]) -> list[PageSection]:
 def _facts(found: StillImageCamera, outcome: dict[str, Any], command: str
            ) -> list[tuple[str, str]]:
     camera, f = found.scenario.camera, outcome['f_px']
-    field = [np.degrees(2.0 * np.arctan(0.5 * size / f)) for size in (camera.width, camera.height)]
+    edges = 0.5 * np.array([[[camera.width, 0.0]], [[0.0, camera.height]]]) * [[-1.0], [1.0]]
+    lens, values = found.optics
+    field = np.degrees(np.arccos(lens.unproject(edges, values)[..., 2])).sum(axis=-1)
     return [('Images', f'{outcome["counts"]["images"]} of {outcome["source"]}'),
             ('Camera', f'{camera.width} × {camera.height} px, f = {f:.5g} px, {field[0]:.3g}° × '
              f'{field[1]:.3g}°'),
@@ -80,14 +82,15 @@ def _facts(found: StillImageCamera, outcome: dict[str, Any], command: str
 
 
 def _projection(found: StillImageCamera, outcome: dict[str, Any]) -> PageSection:
-    pixels, camera = detector(found.scenario.camera), found.estimate
+    pixels, (lens, values) = detector(found.scenario.camera), found.optics
+    covariance = found.estimate.covariance[:len(values), :len(values)]
     doubt = (' The sigmas are not to be believed.' if outcome['verdict'] == 'inconsistent' else '')
     return section(
         'projection', 'Projection',
         paragraph('How far off the place of a star is on the detector, a turn of all stars taken '
                   'out: 1 sigma of each of two axes.' + doubt),
-        charts([chart(pixels, camera.intrinsics, camera.covariance) for chart in (
-            projection_charts.camera_sigma, projection_charts.camera_sigma_arcsec)]))
+        charts(projection_charts.camera_sigmas(pixels, values, covariance, lens,
+                                               outcome['f_px'])))
 
 
 def _coverage(found: StillImageCamera) -> PageSection:

@@ -24,27 +24,35 @@ import numpy as np
 
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
+from starcal_ros.core.lenses.model import LensModel
 
 
-def sigma_px(uv: Array, intrinsics: Array, covariance: Array, pitch_mm: float) -> Array:
+def sigma_px(uv: Array, values: Array, covariance: Array, lens: LensModel) -> Array:
     """Return the standard deviation of the place of a direction, each axis, (n,) [px].
+
+    NaN where the lens has no direction.
 
     Parameters
     ----------
     uv : (n, 2) array
         Places, spread over the detector [px from its centre].
-    intrinsics : (7,) array
-        Camera, as in `starcal_ros.core.camera`.
-    covariance : (7, 7) array
+    values : (p,) array
+        Camera.
+    covariance : (p, p) array
         Of it.
-    pitch_mm : float
-        Pixel pitch [mm].
+    lens : LensModel
+        What it is.
     """
-    _, H, J = _derivatives(uv, intrinsics, pitch_mm)
-    H, J = H.reshape(-1, 3), J.reshape(-1, 7)
+    sigma = np.full(len(uv), np.nan)
+    with np.errstate(invalid='ignore'):
+        r_s = lens.unproject(uv, values)
+        seen = np.isfinite(r_s).all(axis=-1) & lens.ahead(r_s)
+    _, H, J = lens.linearize(r_s[seen], values)
+    H, J = H.reshape(-1, 3), J.reshape(-1, len(values))
     J = J - H @ np.linalg.lstsq(H, J, rcond=None)[0]
     variance = np.einsum('ij,jk,ik->i', J, covariance, J).reshape(-1, 2)
-    return np.sqrt(variance.mean(axis=-1))
+    sigma[seen] = np.sqrt(variance.mean(axis=-1))
+    return sigma
 
 
 def sigma_direction(uv: Array, intrinsics: Array, covariance: Array, pitch_mm: float) -> Array:
@@ -54,16 +62,17 @@ def sigma_direction(uv: Array, intrinsics: Array, covariance: Array, pitch_mm: f
 
     Parameters
     ----------
-    uv, intrinsics, pitch_mm
-        As for `sigma_px`.
+    uv : (n, 2) array
+        Places [px from the centre of the detector].
+    intrinsics : (7,) array
+        Camera, as in `starcal_ros.core.camera`.
+    pitch_mm : float
+        Pixel pitch [mm].
     covariance : (10, 10) array
         Of the mounting, a rotation in s [rad], and the camera.
     """
-    _, H, J = _derivatives(uv, intrinsics, pitch_mm)
+    _, H, J = camera.linearize(
+        camera.unproject(uv, intrinsics, pitch_mm), intrinsics, pitch_mm)
     theta = np.linalg.pinv(H) @ np.concatenate((H, J), axis=-1)
     variance = np.einsum('nij,jk,nik->n', theta, covariance, theta)
     return np.sqrt(0.5 * variance)
-
-
-def _derivatives(uv: Array, intrinsics: Array, pitch_mm: float) -> tuple[Array, Array, Array]:
-    return camera.linearize(camera.unproject(uv, intrinsics, pitch_mm), intrinsics, pitch_mm)

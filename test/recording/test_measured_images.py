@@ -103,8 +103,8 @@ def test_compressed_images_give_what_images_give(bag, tmp_path):
             writer.write('/camera/image_raw/compressed', COMPRESSED_TYPE, data, stamp_ns)
     recording = reader.read(path, needs_gyro=False, measure=ImageMeter(SCENARIO))
     assert recording.frames_topic == '/camera/image_raw' and len(recording.frames) == 2
-    recording = reader.read(path, needs_gyro=False, measure=ImageMeter(SCENARIO), choice=TopicChoice(
-        images='/camera/image_raw/compressed'))
+    recording = reader.read(path, needs_gyro=False, measure=ImageMeter(SCENARIO),
+                            choice=TopicChoice(images='/camera/image_raw/compressed'))
     np.testing.assert_array_equal(recording.frames.uv_raster,
                                   expected.take(np.arange(len(expected)) < 2).uv_raster)
 

@@ -10,6 +10,7 @@ import pytest
 from instruments import DETECTOR, INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import verdict
 from starcal_ros.filter.offline import calibrate
@@ -26,6 +27,7 @@ from starcal_ros.sky import catalog
 
 RUN = TAN2018.replace({'simulation.duration_s': 120.0})
 STARS = 20_000
+LENS = Tan2018Lens(PITCH_MM)
 
 
 @pytest.fixture(scope='module')
@@ -158,11 +160,11 @@ def test_projection_of_the_camera_does_not_count_a_turn():
     grid = np.stack(np.meshgrid(*(np.linspace(-511.0, 511.0, 9),) * 2), axis=-1).reshape(-1, 2)
     shift = np.zeros((7, 7))
     shift[0, 0] = 1.0                                   # a pixel of the principal point
-    sigma = projection.sigma_px(grid, INTRINSICS, shift, PITCH_MM)
+    sigma = projection.sigma_px(grid, INTRINSICS, shift, LENS)
     assert sigma.max() < 0.1                            # all but what bends in a wide field
     focal = np.zeros((7, 7))
     focal[2, 2] = 1e-3**2
-    sigma = projection.sigma_px(grid, INTRINSICS, focal, PITCH_MM)
+    sigma = projection.sigma_px(grid, INTRINSICS, focal, LENS)
     corner = np.hypot(511.0, 511.0) * 1e-3 / INTRINSICS[2]
     assert sigma[0] == pytest.approx(corner / np.sqrt(2.0), rel=0.05)
 

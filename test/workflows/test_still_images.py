@@ -236,7 +236,8 @@ def test_page_shows_each_image_and_escapes_its_name(tmp_path):
     assert all(f'<section id="{name}">' in text for name in (
         'verdict', 'camera', 'fit', 'heldout', 'distortion', 'coupling', 'notices'))
     assert '<p class="verdict yes">Verdict: consistent' in text and 'mean over the pixel' in text
-    assert text.count('<figure') == 8
+    # Projection and coverage, and of fitted and held-out images eleven each.
+    assert text.count('<figure') == 28
 
 
 def test_covariance_goes_over_to_opencv_as_differences_say():
