@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 import sys
 from typing import Any
 
-from PIL import Image
+from PIL import Image, ImageFile
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,7 +48,8 @@ def read(path: Path) -> Iterator[Plane]:
             picture.seek(page)
             if picture.size != size:
                 continue                    # a preview
-            pixels, scale = _pixels(path, picture, page)    # before EXIF, which loads PNG
+            with _whole_ones():
+                pixels, scale = _pixels(path, picture, page)    # before EXIF, which loads PNG
             exif = picture.getexif()
             yield Plane(pixels, scale, exposure_time.of_exif(exif),
                         focal_px=focal_hint.of_exif(exif, *size))
@@ -70,7 +72,22 @@ def decoded(data: bytes, formats: tuple[str, ...]) -> NDArray[Any]:
     """
     with Image.open(BytesIO(data), formats=formats) as picture:
         IMAGE.check(picture.width * picture.height, 'an image')
-        return _pixels(BytesIO(data), picture, 0)[0]
+        with _whole_ones():
+            return _pixels(BytesIO(data), picture, 0)[0]
+
+
+@contextmanager
+def _whole_ones() -> Iterator[None]:
+    """Have Pillow refuse images that are cut short, whatever others in this process told it.
+
+    WeasyPrint, for one, has it fill them up with grey, for all the process.
+    """
+    told = ImageFile.LOAD_TRUNCATED_IMAGES
+    ImageFile.LOAD_TRUNCATED_IMAGES = False
+    try:
+        yield
+    finally:
+        ImageFile.LOAD_TRUNCATED_IMAGES = told
 
 
 def _pixels(path: Path | BytesIO, picture: Image.Image, page: int) -> tuple[NDArray[Any], Scale]:

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from PIL import Image
+from PIL import Image, ImageFile
 from astropy.io import fits
 import numpy as np
 import pytest
@@ -104,7 +104,10 @@ def test_a_file_that_is_no_image_is_named(tmp_path):
     refused(tmp_path / 'b.png', 'No such file')
 
 
-def test_a_damaged_image_is_named(tmp_path):
+@pytest.mark.parametrize('told', [False, True])
+def test_a_damaged_image_is_named(told, tmp_path, monkeypatch):
+    """Also where another library has told Pillow to take what is cut short for whole."""
+    monkeypatch.setattr(ImageFile, 'LOAD_TRUNCATED_IMAGES', told)
     Image.fromarray((RAMP * 27).astype(np.uint16)).save(tmp_path / 'a.png')
     whole = (tmp_path / 'a.png').read_bytes()
     (tmp_path / 'a.png').write_bytes(whole[:len(whole) // 2])

@@ -174,7 +174,8 @@ def test_open_loop_is_wrong_by_the_square_of_the_first_errors():
 
 def test_bias_that_can_not_be_met_is_said(tmp_path):
     table = published.load('table4').reproduce(SCENARIO, 1, tmp_path, lambda part: None)
-    assert any('7.1e-4' in note and 'can not be met' in note for note in table.notes)
+    assert any('7.1e-4' in note and 'no unbiased estimator is better' in note
+               for note in table.notes)
 
 
 @pytest.mark.parametrize('part, below', [(0.5, 'in: f at 0.05.'), (0.9, 'nowhere.')])
