@@ -272,10 +272,10 @@ class Calibrator:
         k = 0
         while k < len(frames):
             track = self._track(int(frames.stamp_ns[k])) if tracked else AttitudeTrack.empty()
-            results = self._ordinary(prepared, k, track, 1 if tracked else len(frames))
-            if results:
+            results, done = self._ordinary(prepared, k, track, 1 if tracked else len(frames))
+            if done:
                 yield from results
-                k += len(results)
+                k += done
                 continue
             result = self._single(prepared, k, track)
             if result is not None:
@@ -295,18 +295,18 @@ class Calibrator:
         return _Prepared(frames, stars, samples, cuts, gyro, ordinary)
 
     def _ordinary(self, prepared: _Prepared, k: int, track: AttitudeTrack, most: int
-                  ) -> list[FrameResult]:
-        """Process the frames from the k-th on that need no second look; most often many."""
+                  ) -> tuple[list[FrameResult], int]:
+        """Process the frames from the k-th on that need no second look; return how many, too."""
         belief, tests, frames = self.belief, self.consistency, prepared.frames
         if (prepared.ordinary is None or belief is None or self._lost or self._trail_test.open
                 or self._rejected_in_a_row >= self._patience or self._as_linear
                 or tests.scores is not None):
-            return []
+            return [], 0
         found = prepared.ordinary.advance(
             k, min(most, tests.until_due), self.filter, belief, tests)
         n = len(found.nis)
         if not n:
-            return []
+            return [], 0
         rows = slice(frames.first[k], frames.first[k + n])
         first = frames.first[k:k + n + 1] - frames.first[k]
         usable = np.isfinite(prepared.stars.sigma[rows])
@@ -327,9 +327,17 @@ class Calibrator:
         self._rejected_in_a_row = self._torn_in_a_row = 0
         used = int(found.used.sum())
         self._count(n, used, int(usable.sum()) - used)
-        tests.met(stamps, found)
-        self.belief = self._answered(after)
-        return [*results[:-1], results[-1]._replace(belief=self.belief)]
+        try:
+            tests.met(stamps, found)
+            answered = self._answered(after)
+        except np.linalg.LinAlgError:
+            answered = None
+        if answered is None or not answered.is_finite:
+            self.belief = results[-2].belief if n > 1 else belief
+            self._leave_out(stamp_ns)
+            return results[:-1], n
+        self.belief = answered
+        return [*results[:-1], results[-1]._replace(belief=answered)], n
 
     def _single(self, prepared: _Prepared, k: int, track: AttitudeTrack) -> FrameResult | None:
         """Process one frame, whatever it is like."""
@@ -365,9 +373,7 @@ class Calibrator:
             answered = None
         if answered is None or not answered.is_finite:
             self.counts.frames += 1
-            self._notices.once('finite', f'the frame at {stamp_ns} ns leaves nothing finite: '
-                               'not used, what was believed before it stands')
-            self._set_back()
+            self._leave_out(stamp_ns)
             return None
         self.belief = answered
         if self._trail_test.denies(self.filter, belief.nominal, frame, update):
@@ -390,6 +396,12 @@ class Calibrator:
         self.consistency = self._tests()
         self._notices.say(f'stars do not trail while the camera turns, up to {stamp_ns} ns: '
                           'star_tracker.smear is taken for false from then on')
+
+    def _leave_out(self, stamp_ns: int) -> None:
+        """Say of a frame that it is not used, and doubt what may be wrong with it."""
+        self._notices.once('finite', f'the frame at {stamp_ns} ns leaves nothing finite: '
+                           'not used, what was believed before it stands')
+        self._set_back()
 
     def _set_back(self) -> None:
         """Doubt all but the calibration believed so far: attitude, and tests of the model."""

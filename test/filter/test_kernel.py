@@ -263,6 +263,30 @@ def test_ordinary_frames_done_in_one_go_are_those_done_singly(monkeypatch):
         float(slow.consistency.likelihood.twice_log), rel=1e-9)
 
 
+def test_ordinary_frames_that_end_in_nothing_finite_are_left_out_and_said(monkeypatch):
+    scenario = TAN2018.replace({'simulation.duration_s': 60.0, **KNOWN_CAMERA})
+    gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
+    calibrator, answered = Calibrator(scenario), Calibrator._answered
+    frames, failed = tracker.next(tracker.count), []
+    begin_ns = int(frames.stamp_ns[0])
+
+    def answer(self, belief):
+        if self.stamp_ns > begin_ns + 25 * 10**9 and not failed:
+            failed.append(self.stamp_ns)
+            raise np.linalg.LinAlgError('eigenvalues did not converge')
+        return answered(self, belief)
+
+    monkeypatch.setattr(Calibrator, '_answered', answer)
+    calibrator.add_gyro(gyro.next(gyro.count))
+    calibrator.add_frames(frames)
+    results = list(calibrator.process())
+    assert len(failed) == 1 and len(results) == 119 and calibrator.counts.frames == 120
+    assert failed[0] not in {result.stamp_ns for result in results}
+    assert any(f'the frame at {failed[0]} ns leaves nothing finite' in text
+               for text in calibrator.take_notices())
+    assert results[-1].belief.is_finite and calibrator.counts.acquisitions == 2
+
+
 def test_without_numba_the_reference_runs():
     """In a process of its own, where numba can not be imported."""
     program = ("import sys; sys.modules['numba'] = None\n"
