@@ -17,9 +17,10 @@ beyond chance, too. The best is told from the others where it is better by `TOLD
 are as good all are said, and none is adopted, unless they are equal in effect: no state moves by
 more than `ALIKE` of its sigma from one to the other, and no sigma by more than a tenth.
 
-Where tests fail still under the one that is best, those to which they point are tried on top of
-it, up to `MOST` together: what is wrong may be two things. A larger noise covers much that has a
-cause: of those that are best together each is left out once, too.
+Where tests fail still under the best cause, those to which they point are tried on top of it, up
+to `MOST` together: what is wrong may be two things. A larger noise covers much that has a cause:
+it is built on where no cause explains anything, and of those that are best together each is left
+out once, too.
 """
 
 from __future__ import annotations
@@ -86,6 +87,11 @@ class Candidate(NamedTuple):
     values: Mapping[str, Any]
     numbers: int
     sought: tuple[str, ...] = ()
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether it says what happens, and not only how much is unexplained."""
+        return not self.sought
 
 
 class Tried(NamedTuple):
@@ -200,14 +206,13 @@ def explain(source: MessageSource, scenario: Scenario, calibrated: Calibrator,
         for k, candidate in enumerate(candidates):
             trials.attempt((*together, candidate))
             on_progress((step + (k + 1) / len(candidates)) / (MOST + 1))
-        best = trials.best()
-        # Only what is told from all others can be built on.
-        if len(best) != 1 or best[0].parts == together:
+        base_of_more = trials.to_build_on(together)
+        if base_of_more is None:
             break
-        together = best[0].parts
-        tests = best[0].run.consistency
+        together = base_of_more.parts
+        tests = base_of_more.run.consistency
         candidates = [each for each in _pointed(
-            tests.statistics(), scenario.replace(best[0].tried.values), tests)
+            tests.statistics(), scenario.replace(base_of_more.tried.values), tests)
             if each.name not in {one.name for one in together}]
     for each in together if len(together) > 1 else ():
         trials.attempt(tuple(other for other in together if other is not each))
@@ -270,6 +275,21 @@ class _Trials:
             for each in self.found]
         best = _best([each.tried for each in self.found], count)
         return tuple(each for each in self.found if each.tried in best)
+
+    def to_build_on(self, together: tuple[Candidate, ...]) -> _Attempt | None:
+        """Return what more is to be tried on top of; None for nothing.
+
+        The best cause that goes on from what was built on: a larger noise covers two causes better
+        than each of them alone explains the data. Where there is none the best, if it is told from
+        all others.
+        """
+        best = self.best()
+        causes = [each for each in self.found if each.tried.beyond_chance
+                  and each.parts != together and each.parts[:len(together)] == together
+                  and all(part.is_cause for part in each.parts)]
+        if causes:
+            return causes[0]
+        return best[0] if len(best) == 1 and best[0].parts != together else None
 
     def _found_levels(self, values: Mapping[str, Any]) -> Sequence[NoiseLevel]:
         """Return the noise levels, sought once for what else is tried."""

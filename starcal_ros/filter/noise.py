@@ -4,12 +4,14 @@
 
 Whoever has all the messages seeks the levels in several passes (`noise_search`) and gives them.
 A live estimator has one pass, and no way back from a covariance that was too small. It estimates
-the sigma of the centroids alone: that begins `WIDE` times as large as stated and comes down,
-whenever the scores of the windows since the last time (`noise_levels`) say beyond doubt that it is
-smaller, to the upper end of what they leave. It never rises: what looks like more noise later on
-may be a fault, which is for the tests to find. These begin afresh with each new level, and a
-window has to leave it as it is before they say anything of noise. The noise of the gyros shows
-only after many minutes, in which a level that is wrong has already shaped the covariance.
+the sigma of the centroids and the random walk of the gyros: they begin `WIDE` times as large as
+stated and come down, whenever the scores of the windows since the last time (`noise_levels`) say
+beyond doubt that a level is smaller, to the upper end of what they leave; that of the gyros when
+the centroids have come to rest, since against stars that are thought worse than they are any gyro
+looks good. No level rises: what looks like more noise later on may be a fault, which is for the
+tests to find. These begin afresh with each new level, and a window has to leave all levels as they
+are before they say anything of noise. The walks of the states show only after hours, in which a
+level that is wrong has already shaped the covariance: they are believed.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.filter.model_tests import ModelTests
-from starcal_ros.filter.noise_levels import (CENTROIDS, NoiseLevel, Scores, found, scaled,
+from starcal_ros.filter.noise_levels import (CENTROIDS, GYRO, NoiseLevel, Scores, found, scaled,
                                              sigma_factor, stated, with_levels)
 from starcal_ros.measurements.samples import Stars
 
@@ -101,7 +103,7 @@ class Noise:
 
 
 class ComingDown(Noise):
-    """The levels of a single pass, that of the centroids from above.
+    """The levels of a single pass, from above.
 
     Parameters
     ----------
@@ -110,14 +112,16 @@ class ComingDown(Noise):
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._keys = [key for key in scenario.estimator.adapt if key == CENTROIDS]
+        # In the order in which they are to come to rest.
+        self._keys = [key for key in (CENTROIDS, GYRO) if key in scenario.estimator.adapt]
         super().__init__(scenario, sought=True)
 
     @property
     def notices(self) -> list[str]:
         """Which levels a single pass leaves as they are stated."""
         return [f'{key} of estimator.adapt is estimated by starcal calibrate alone: live, the '
-                'stated one holds' for key in self._scenario.estimator.adapt if key != CENTROIDS]
+                'stated one holds'
+                for key in self._scenario.estimator.adapt if key not in self._keys]
 
     def begin(self) -> None:
         """Know that all begins, or begins again."""
@@ -141,13 +145,16 @@ class ComingDown(Noise):
         if len(scores.windows) == self._windows:
             return False
         values, lowered = dict(self._values), False
-        for key, (step, information) in scores.steps().items():
+        steps = scores.steps()
+        for key in self._keys:
+            step, information = steps[key]
             self._informations[key] = information
             if information > 0.0:
                 factor = scaled(key, step + _DOUBT / math.sqrt(information), information)
-                if factor < 1.0 / _LOWERED:
+                lowered = factor < 1.0 / _LOWERED
+                if lowered:
                     values[key] *= factor
-                    lowered = True
+                    break
         self._settled, self._windows = not lowered, len(scores.windows)
         tests.noise_known = self._settled
         if lowered:

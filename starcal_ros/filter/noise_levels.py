@@ -4,24 +4,29 @@
 
 Model
 -----
-A level theta is the standard deviation or the density of one noise; the filter's covariance P
-depends on it, with ``D = d P / d ln theta^2`` carried beside P (K the gain, H of one frame) ::
+A level theta is the standard deviation or the density of one noise; the covariance P and the error
+x that the filter takes off its nominal values depend on it. Carried beside them are
+``D = d P / d ln theta^2`` and ``xi = d x / d ln theta^2`` (K the gain, H of one frame, Phi of one
+interval) ::
 
-    D <- Phi D Phi' + Q_theta,      D <- (I - K H) D (I - K H)'                        (L.1)
+    D <- Phi D Phi' + Q_theta,          xi <- Phi xi
+    D <- (I - K H) D (I - K H)',        xi <- (I - K H) (xi + D v)                     (L.1)
 
 Q_theta is the part of the process noise that is theta's. The innovation z of a frame has the
-covariance S, of which the level makes ``dS = H D H'``, and twice its log likelihood is
-``-ln det S - z' S^-1 z``. With ``N = H' S^-1 H`` and ``v = H' S^-1 z`` ::
+covariance S, of which the level makes ``dS = H D H'``, and itself depends on it by ``-H xi``;
+twice its log likelihood is ``-ln det S - z' S^-1 z``. With ``N = H' S^-1 H`` and
+``v = H' S^-1 z`` ::
 
-    score = (v' D v - tr D N) / 2,      information = tr(D N D N) / 2                  (L.2)
+    score       = (v' D v - tr D N) / 2 + xi' v
+    information = tr(D N D N) / 2 + xi' N xi                                           (L.2)
 
-Where the level is right, the score is of mean 0 and its variance is the information, whatever D
-is: the root of the scores of a run is a consistent estimate, and ``1 / information`` the variance
-of ln theta^2. What the innovation's own dependence on theta would add, of mean 0 as well, is left
-out. Of centroids the same holds with what no turn of the camera explains (`innovation_tests`), r
-its sum of squares and m its degrees of freedom: ``score = (r - m) / 2, information = m / 2``.
-R. K. Mehra, *On the identification of variances and adaptive Kalman filtering*, IEEE Transactions
-on Automatic Control 15(2), 1970.
+Where the level is right, the score is of mean 0 and its variance is the information: the root of
+the scores of a run is the likeliest level, and ``1 / information`` the variance of ln theta^2. Of
+a noise that the stars drown, nearly all information is that of xi. Of centroids the same holds
+with what no turn of the camera explains (`innovation_tests`), r its sum of squares and m its
+degrees of freedom: ``score = (r - m) / 2, information = m / 2``. N. K. Gupta, R. K. Mehra,
+*Computational aspects of maximum likelihood estimation and reduction in sensitivity function
+calculations*, IEEE Transactions on Automatic Control 19(6), 1974.
 
 Scores are kept window by window: of a run with a fault in it those windows are left out which
 contradict most of the others.
@@ -144,6 +149,7 @@ class Scores:
         self._moving = [key for key in levels if key != CENTROIDS]
         n = len(scale)
         self._D = np.zeros((len(self._moving), n, n))
+        self._xi = np.zeros((len(self._moving), n))
         self.restart()
 
     def restart(self) -> None:
@@ -157,6 +163,7 @@ class Scores:
         for D, key in zip(self._D, self._moving):
             root = self._root(key, B, gyro.duration)
             D[:] = Phi @ D @ Phi.T + root @ root.T
+        self._xi = self._xi @ Phi.T
 
     def _root(self, key: str, B: Array, duration: Array) -> Array:
         n = len(self._scale)
@@ -172,6 +179,7 @@ class Scores:
     def found(self) -> None:
         """Know that the attitude was found afresh: its covariance is no matter of the noise."""
         self._D[:, THETA] = self._D[:, :, THETA] = 0.0
+        self._xi[:, THETA] = 0.0
 
     def meet(self, said: Evidence, rest: float, freedom: int, judged: bool) -> bool:
         """Take a frame in; return whether it was the last of a window.
@@ -184,13 +192,14 @@ class Scores:
         freedom : int
             Its degrees of freedom.
         judged : bool
-            Whether the frame tells of the levels; D follows it all the same.
+            Whether the frame tells of the levels; D and xi follow it all the same.
         """
         N, v = said.explained(said.H)
         if judged:
             self._sums += self._of_frame(N, v, rest, freedom)
             self._frames += 1
         F = np.eye(len(self._scale)) - said.root @ said.root.T @ (said.H.T @ said.H)
+        self._xi = (self._xi + self._D @ v) @ F.T
         self._D = F @ self._D @ F.T
         if self._frames < WINDOW:
             return False
@@ -199,10 +208,10 @@ class Scores:
         return judged
 
     def _of_frame(self, N: Array, v: Array, rest: float, freedom: int) -> Array:
-        DN = self._D @ N
+        DN, xi = self._D @ N, self._xi
         walks = iter(np.stack((
-            0.5 * (np.einsum('i,kij,j->k', v, self._D, v) - np.einsum('kii->k', DN)),
-            0.5 * np.einsum('kij,kji->k', DN, DN)), axis=-1))
+            0.5 * (np.einsum('i,kij,j->k', v, self._D, v) - np.einsum('kii->k', DN)) + xi @ v,
+            0.5 * np.einsum('kij,kji->k', DN, DN) + np.einsum('ki,ij,kj->k', xi, N, xi)), axis=-1))
         centroids = (0.5 * (rest / self._gated - freedom), 0.5 * freedom)
         return np.array([centroids if key == CENTROIDS else next(walks) for key in self.levels])
 

@@ -68,12 +68,12 @@ def test_likelihood_is_that_of_the_innovations_against_stars_anywhere():
 
 
 @pytest.mark.parametrize('key, value', [(GYRO, 0.01), (WALKS[0], 0.5), (WALKS[3], 0.01)])
-def test_the_covariance_depends_on_a_level_as_its_derivative_says(key, value):
-    """By central differences of the whole run; D has no other twin."""
+def test_covariance_and_estimate_depend_on_a_level_as_their_derivatives_say(key, value):
+    """By central differences of the whole run; D and xi have no other twin."""
     scenario = RUN.replace({'simulation.duration_s': 40.0, key: value,
                             'estimator.answer_changes': False})
     gyro, frames = simulated(scenario)
-    covariances, D = [], None
+    beliefs = []
     for factor in (0.99, 1.01, 1.0):
         level = NoiseLevel(key, value, factor * value, 0.1, True)
         calibrator = Calibrator(scenario, noise=Noise(scenario, (level,), sought=True))
@@ -81,15 +81,18 @@ def test_the_covariance_depends_on_a_level_as_its_derivative_says(key, value):
         calibrator.add_frames(frames)
         for _ in calibrator.process():
             pass
-        root = calibrator.belief.root
-        covariances.append(root @ root.T)
-        D, = calibrator.consistency.scores._D
-    low, high, P = covariances
-    sigma = np.sqrt(np.diag(P))
-    numeric = (high - low) / (2.0 * np.log(1.01 / 0.99)) / np.outer(sigma, sigma)
+        beliefs.append(calibrator.belief)
+        scores = calibrator.consistency.scores
+    low, high, middle = beliefs
+    sigma, both = np.sqrt(np.diag(middle.root @ middle.root.T)), 2.0 * np.log(1.01 / 0.99)
+    D, numeric = (each / np.outer(sigma, sigma) for each in (
+        scores._D[0], (high.root @ high.root.T - low.root @ low.root.T) / both))
     assert np.abs(numeric).max() > 1e-3
-    np.testing.assert_allclose(
-        D / np.outer(sigma, sigma), numeric, atol=0.03 * np.abs(numeric).max())
+    np.testing.assert_allclose(D, numeric, atol=0.03 * np.abs(numeric).max())
+    xi, numeric = (each / sigma for each in (
+        scores._xi[0], low.estimate.minus(high.estimate) / low.nominal.augmentation.scale / both))
+    assert np.abs(numeric).max() > 1e-3
+    np.testing.assert_allclose(xi, numeric, atol=0.03 * np.abs(numeric).max())
 
 
 def test_windows_of_a_fault_are_left_out_of_a_level():
@@ -148,6 +151,20 @@ def test_levels_that_are_right_are_left_to_the_bit():
     assert plain.noise.levels() == () and result(plain, {})['noise_levels'] == []
 
 
+@pytest.mark.parametrize('seed', [1, 3])
+def test_a_walk_that_the_stars_drown_is_found_to_a_tenth_from_wherever_it_is_stated(seed):
+    """T18's own: by the covariances alone a quarter of an hour would leave it unknown."""
+    run = TAN2018.replace({'simulation.duration_s': 900.0, 'simulation.seed': seed})
+    messages = simulated(run)
+    for walk in (0.1, 10.0):
+        search = noise_search.Search(InMemory(*messages), run.replace({
+            GYRO: 0.001 * walk, **BOTH}), (CENTROIDS, GYRO))
+        _, level = search.found()
+        assert level.spread == pytest.approx(0.09, abs=0.02)
+        assert abs(np.log(level.value / 0.001)) < 3.0 * level.spread
+        assert search.better()
+
+
 def test_a_step_is_no_noise_and_is_still_found():
     """Stated ten times too small: a step half-way would raise it far above the truth."""
     run = RUN.replace({'simulation.duration_s': 400.0, GYRO: 0.001})
@@ -193,11 +210,28 @@ def test_a_single_pass_comes_down_to_the_noise_of_the_centroids(sigma):
     assert calibrator.belief.nees(true) < 48.0
 
 
+@pytest.mark.parametrize('sigma, walk', [(0.1, 10.0), (10.0, 0.1), (1.0, 1.0)])
+def test_a_single_pass_comes_down_to_the_noise_of_the_gyros_once_the_centroids_rest(sigma, walk):
+    run = RUN.replace({'simulation.duration_s': 600.0})
+    calibrator = Calibrator(stated(sigma, walk, run))
+    samples, frames = simulated(run, sigma=sigma)
+    calibrator.add_gyro(samples)
+    calibrator.add_frames(frames)
+    for _ in calibrator.process():
+        pass
+    of_centroids, of_gyro = calibrator.noise.levels()
+    assert 0.0499 < of_centroids.value < 0.057
+    assert 0.01 * np.exp(-3.0 * of_gyro.spread) < of_gyro.value < 0.02
+    assert failed(calibrator) == set() and not calibrator.take_notices()
+    true = nominal(Truth.from_scenario(run), calibrator.stamp_ns)
+    assert calibrator.belief.nees(true) < 48.0
+
+
 def test_what_a_single_pass_does_not_estimate_is_said():
-    calibrator = Calibrator(RUN.replace(BOTH))
+    calibrator = Calibrator(RUN.replace({'estimator.adapt': (*BOTH['estimator.adapt'], WALKS[0])}))
     assert calibrator.take_notices() == [
-        'gyro.arw_deg_sqrt_h of estimator.adapt is estimated by starcal calibrate alone: live, '
-        'the stated one holds']
+        'estimator.process_noise.gyro_bias_deg_h_sqrt_h of estimator.adapt is estimated by '
+        'starcal calibrate alone: live, the stated one holds']
 
 
 def test_without_it_a_wrong_level_is_inconsistent():
