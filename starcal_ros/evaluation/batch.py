@@ -186,10 +186,10 @@ def follow(scenario: Scenario, seeds: Sequence[int],
                         if strays[run] else turned.take(run) for run, g in enumerate(gyros)])
                 before = belief.nominal
                 belief, transition = filter_.propagated(belief, turned)
-            update = filter_.update(belief, frame, judged=judged)
+            update = filter_.update(belief, frame, judged=judged, gyro=turned)
             if not acquired and (update.spread > WIDE).any():
                 belief, frame = _agreed(filter_, belief, frame, update.spread > WIDE)
-                update = filter_.update(belief, frame, judged=judged)
+                update = filter_.update(belief, frame, judged=judged, gyro=turned)
             yield BatchFrame(done + k, stamp_ns, turned, frame, belief, update, before,
                              transition, numbers[:, k, :counts[k]], magnitudes[:, k, :counts[k]])
             belief = update.belief
@@ -350,7 +350,7 @@ class _Tally:
         """Take what one frame gave."""
         update, number = step.update, step.number
         if self._tests is not None:
-            _test(self._tests, step)
+            _test(self._tests, self._filter, step)
         self._nis += np.where(update.linear, update.nis, 0.0)
         self._degrees += np.where(update.linear, 2.0 * update.accepted.sum(axis=-1), 0.0)
         if number >= self._last_minutes:
@@ -393,10 +393,11 @@ class _Tally:
                           for each in tests]))
 
 
-def _test(tests: ModelTests, step: BatchFrame) -> None:
+def _test(tests: ModelTests, filter_: Filter, step: BatchFrame) -> None:
     """Tell the tests of the model of a frame."""
     if step.before is not None and step.gyro is not None and step.transition is not None:
-        tests.carry(step.gyro, step.before, step.predicted.nominal, step.transition)
+        tests.carry(step.gyro, step.before, step.predicted.nominal, step.transition,
+                    filter_.noise(step.gyro))
     tests.meet(step.stamp_ns, step.predicted.nominal, step.stars, step.update, step.catalog_id,
                step.magnitude)
     tests.candidate(step.stamp_ns)

@@ -98,5 +98,26 @@ class Augmentation:
             G = G @ state.gain(values[..., place])
         return G
 
+    @cached_property
+    def draws(self) -> bool:
+        """Whether the noise of the gyro draws a state along."""
+        return any(type(state).drawn is not OptionalState.drawn for state in self.on)
+
+    def drawn(self, N: Array, noise: Array) -> Array:
+        """Return what it adds to the scores of the scaled errors on average, (..., 16 + m).
+
+        Parameters
+        ----------
+        N : (..., 3, 3) array
+        noise : (..., 2) array
+            See `hypotheses.drawn`.
+        """
+        b = np.zeros((*N.shape[:-2], len(self.scale)))
+        for state, _, among in self.errors():
+            drawn = state.drawn(N, noise)
+            if drawn is not None:
+                b[..., among] = drawn * self.scale[among]
+        return b
+
 
 NONE = Augmentation()

@@ -344,7 +344,7 @@ class Calibrator:
         frames, stamp_ns = prepared.frames, int(prepared.frames.stamp_ns[k])
         rows = slice(frames.first[k], frames.first[k + 1])
         frame = self.noise.of_stars(prepared.stars.take(rows))
-        belief = self.belief
+        belief, interval = self.belief, None
         if belief is not None:
             interval, before = prepared.gyro.take(k), belief.nominal
             # By what is believed now alone: not on how many frames came at once.
@@ -352,7 +352,8 @@ class Calibrator:
                 interval = self._integrated(
                     prepared.samples, prepared.cuts[k:k + 2], before).take(0)
             belief, Phi = self.filter.propagated(belief, interval)
-            self.consistency.carry(interval, before, belief.nominal, Phi)
+            self.consistency.carry(interval, before, belief.nominal, Phi,
+                                   self.filter.noise(interval))
         self.stamp_ns = stamp_ns
         self.counts.empty_frames += not np.isfinite(frame.sigma).any()
         acquired = self.counts.acquisitions
@@ -362,9 +363,10 @@ class Calibrator:
             return None
         belief, frame = start
         try:
-            update = self.filter.update(belief, frame, judged=True)
             if self.counts.acquisitions == acquired:
-                belief, frame, update = self._together(belief, frame, update)
+                belief, frame, update = self._together(belief, frame, interval)
+            else:
+                update = self.filter.update(belief, frame, judged=True)
             self.consistency.meet(stamp_ns, belief.nominal, frame, update,
                                   frames.catalog_id[rows], frames.magnitude[rows])
             turn = self.consistency.turn
@@ -441,14 +443,15 @@ class Calibrator:
             self._notices.say(f'attitude lost, found again at {self.stamp_ns} ns')
         return found
 
-    def _together(self, belief: Belief, frame: Stars, update: Update
+    def _together(self, belief: Belief, frame: Stars, interval: Preintegrated | None
                   ) -> tuple[Belief, Stars, Update]:
-        """Judge the stars of a frame by each other where their own gates can not."""
+        """Update, and judge the stars by each other where their own gates can not."""
+        update = self.filter.update(belief, frame, judged=True, gyro=interval)
         torn = update.spread <= WIDE and is_torn(frame, update)
         self._torn_in_a_row = self._torn_in_a_row + 1 if torn else 0
         if update.spread > WIDE:
             belief, frame = agreed(self.filter, belief, frame)
-            update = self.filter.update(belief, frame, judged=True)
+            update = self.filter.update(belief, frame, judged=True, gyro=interval)
             if not update.accepted.any():
                 self._notices.once('agree', f'the stars of the frame at {self.stamp_ns} ns do not '
                                    'agree with each other: not used')
@@ -458,7 +461,7 @@ class Calibrator:
             self._notices.once('turned', f'the stars of the frame at {self.stamp_ns} ns agree on '
                                'a turn that the gyro did not see')
             frame = stars
-            update = self.filter.update(belief, frame, gated=False, judged=True)
+            update = self.filter.update(belief, frame, gated=False, judged=True, gyro=interval)
         return belief, frame, update
 
     def _answered(self, belief: Belief) -> Belief:

@@ -108,8 +108,8 @@ class Update(NamedTuple):
     linear : (...) bool array
         Whether the linear model held.
     place : (..., n, 2) array
-        Where the stars are on the detector, for the tests of the model: as measured, or as
-        predicted where a state depends on that, for the noise of a centroid is no place [px].
+        Where the stars are on the detector: as predicted after the update, whose errors are not
+        those of the innovation, unlike those of what was measured or predicted before [px].
     evidence : Evidence, optional
         What it said of the model, where asked for.
     """
@@ -341,8 +341,8 @@ class Filter:
                     shift = shift @ looked.C
         return shift @ nominal.C_si, shift, slopes
 
-    def update(self, belief: Belief, stars: Stars, gated: bool = True, judged: bool = False
-               ) -> Update:
+    def update(self, belief: Belief, stars: Stars, gated: bool = True, judged: bool = False,
+               gyro: Preintegrated | None = None) -> Update:
         """Correct a belief with a frame (T18 Eq. 23 to 26).
 
         Parameters
@@ -357,6 +357,8 @@ class Filter:
             without feedback, as the paper's filter).
         judged : bool
             Give the evidence.
+        gyro : Preintegrated, optional
+            The interval before it: what its noise does to optional states is taken out.
         """
         nominal, batch = belief.nominal, belief.error.shape[:-1]
         C_si, shift, slopes = self._seen(nominal)
@@ -365,7 +367,7 @@ class Filter:
             left_out = self._left_out(belief, stars, C_si, left_out)
         trail = (self._turn_of_exposure(nominal) if self.trail_s
                  else np.zeros(nominal.bias.shape))
-        direct, place = self._displaced(belief, stars)
+        direct = self._displaced(belief, stars)
         uv = stars.uv
         if nominal.augmentation.on:
             uv = uv - _times(direct, nominal.augmented[..., None, :])
@@ -379,29 +381,49 @@ class Filter:
         if self.feedback:
             nominal = nominal.set_to(found.C_gi, found.bias, found.C_sg, found.intrinsics,
                                      found.freed)
-        said = kalman.Evidence(found.z, found.H, found.M, found.L, found.root) if judged else None
-        return Update(Belief(nominal, found.error, found.root), found.chi2, found.accepted,
-                      found.nis, found.residual, found.spread,
-                      np.asarray(~left_out.any(axis=-1)), place, said)
+        corrected, said = Belief(nominal, found.error, found.root), None
+        draws = gyro is not None and self.augmentation.draws
+        if judged or draws:
+            said = kalman.Evidence(found.z, found.H, found.M, found.L, found.root)
+        if draws and gyro is not None and said is not None:
+            corrected = self._undrawn(belief, corrected, said, gyro)
+        return Update(corrected, found.chi2, found.accepted, found.nis, found.residual,
+                      found.spread, np.asarray(~left_out.any(axis=-1)), uv - found.residual, said)
 
-    def _displaced(self, belief: Belief, stars: Stars) -> tuple[Array, Array]:
-        """Return how measured centroids depend on the optional states, (..., n, 2, m).
+    def noise(self, gyro: Preintegrated) -> Array:
+        """Return what `hypotheses.drawn` needs to know of the noise of an interval, (..., 2)."""
+        return self.walk**2 * np.stack(np.broadcast_arrays(gyro.share, gyro.duration), axis=-1)
 
-        And where the stars are, as `Update.place`.
+    def _undrawn(self, before: Belief, after: Belief, said: kalman.Evidence, gyro: Preintegrated
+                 ) -> Belief:
+        """Take off an update what the noise of the gyro draws the optional states by.
+
+        States that go with the rate are corrected along what the gyro read, whose noise is in the
+        innovation as well (`hypotheses.drawn`): of ``P H' S^-1 z`` that part has the mean P b.
         """
+        N, _ = said.explained(said.H[..., THETA] / SCALE[0])
+        b = self.augmentation.drawn(N, self.noise(gyro))
+        by_root = np.swapaxes(before.root, -1, -2)
+        error = -self.scale * _times(before.root, _times(by_root, b))
+        if self.feedback:
+            return replace(after, nominal=after.nominal.without(error))
+        return replace(after, error=after.error + error)
+
+    def _displaced(self, belief: Belief, stars: Stars) -> Array:
+        """Return how measured centroids depend on the optional states, (..., n, 2, m)."""
         among = belief.nominal.augmentation
         direct = np.zeros((*stars.uv.shape, among.size))
         displacing = [(state, place) for state, place, _ in among.errors()
                       if type(state).displaced is not OptionalState.displaced]
         if not displacing:
-            return direct, stars.uv
+            return direct
         uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
         uv = uv - _times(H, belief.error[..., None, :])
         spread = (H * among.scale) @ belief.root[..., None, :, :]
         sigma = np.where(in_view, np.sqrt(0.5 * np.sum(spread**2, axis=(-2, -1))), np.inf)
         for state, place in displacing:
             direct[..., place] = state.displaced(uv + self.detector.centre_raster, sigma)
-        return direct, np.where(in_view[..., None], uv, stars.uv)
+        return direct
 
     def _left_out(self, belief: Belief, stars: Stars, C_si: Array, nothing: Array) -> Array:
         """Return what the linear model leaves out of each centroid; most often nothing."""

@@ -13,8 +13,9 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints
 
-SPREAD = 3.0
-"""Largest predicted spread of a centroid that is judged, in its sigmas."""
+SPREAD = 1000.0
+"""Largest predicted spread of a centroid that is judged, in its sigmas: of coarse gyros before a
+precise camera it is some ten in each frame, and such frames tell of the model as others do."""
 BLIND = 1e-10
 """Information on a turn that a frame has none of, of its largest."""
 CELLS = 4
@@ -54,6 +55,9 @@ class FrameInnovation(NamedTuple):
         Where they are on the detector, row by row of CELLS.
     magnitude : (n,) array
         NaN where it is not known.
+    noise : float
+        The first of `hypotheses.drawn`'s [rad^2/s]: on average it takes ``noise tr N`` off
+        ``w' A'S^-1 z``.
     """
 
     e: Array
@@ -65,6 +69,7 @@ class FrameInnovation(NamedTuple):
     normal: Array
     cell: Ints
     magnitude: Array
+    noise: float
 
 
 def tally(frame: FrameInnovation, run: Array, window: Array, last: Array, follows: bool,
@@ -90,7 +95,8 @@ def tally(frame: FrameInnovation, run: Array, window: Array, last: Array, follow
     turn, w = float(frame.e @ frame.e), frame.rate @ frame.L
     for sums in (run, window):
         sums[[FRAMES, FREEDOM, TURN, REST, ALONG, RATE]] += (
-            1.0, 2 * frame.used - 3, turn, frame.nis - turn, float(w @ frame.e), float(w @ w))
+            1.0, 2 * frame.used - 3, turn, frame.nis - turn,
+            float(w @ frame.e) + frame.noise * float(np.sum(frame.L**2)), float(w @ w))
         sums[E] += frame.e
         if follows:
             sums[[PAIRS, LAG]] += 1.0, float(frame.e @ last)

@@ -39,6 +39,11 @@ This is exact in M and d but for the square of the correction over one interval,
 `error_state` bounds: G_0 = I does for half a second between two frames, for minutes without stars
 the present G. To first order in M it would be wrong by M^2 of the whole turn: 2.7 arcsec after
 30 deg for M of 5000 ppm.
+
+X turns theta by ``X omega_s T`` in an interval T, of which the noise of the gyro is a part; on
+average it draws X along (`hypotheses.drawn`), row by row by ::
+
+    b = -q^2 T A' S^-1 A                                                               (A.7)
 """
 
 from __future__ import annotations
@@ -91,6 +96,10 @@ class GyroMatrix(OptionalState):
         right = np.swapaxes(C_sg @ ratio, -1, -2)
         J_X = C_sg[..., None, :, :] @ J_N @ right[..., None, :, :]
         return Turned(turn, J_b @ G, _flat(J_X))
+
+    def drawn(self, N: Array, noise: Array) -> Array:
+        """Return b of (A.7)."""
+        return -noise[..., 1, None] * _flat(N)
 
     def integrated(self, turn: Array) -> Array:
         """Return I kron turn', (n, 3, 9)."""

@@ -24,6 +24,7 @@ from starcal_ros.filter.states import EPSILON, PSI, SCALE, STATE_NAMES, THETA
 
 _U0, _V0, _F = (STATE_NAMES.index(name) for name in ('u0', 'v0', 'f'))
 _HOUR = 3600.0
+_PAIRS = (0, 1), (0, 2), (1, 2)
 
 KM_S = 1.0 / 299792.458
 """A kilometre a second, of the speed of light."""
@@ -115,7 +116,7 @@ def shift(C_gi_before: Array, C_gi: Array, C_sg: Array, Delta: Array, J: Array, 
     # As an error of the bias turns theta, so does what M reads too much (A.2 of `gyro_matrix`).
     B = -(C_sg @ Delta @ J[..., :3]) * (1e-6 / SCALE[0])
     V[..., THETA, SCALE_FACTORS, :] = B * rate[..., None, :]
-    for column, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+    for column, (i, j) in enumerate(_PAIRS):
         V[..., THETA, MISALIGNMENTS, column] = (B[..., i] * rate[..., j, None]
                                                 + B[..., j] * rate[..., i, None])
     V[..., :len(SCALE), DRIFTS, :] = hourly() * dt[..., None, None, None]
@@ -186,3 +187,30 @@ def direct(said: Evidence, C_si: Array, rate_s: Array, sight: Sight) -> Array:
     for column, whitened in enumerate((along_u, along_v)):
         np.put_along_axis(d[..., column], number[..., None], whitened[..., None], axis=-1)
     return d.reshape(*said.z.shape, WIDTH * len(HYPOTHESES))
+
+
+def drawn(N: Array, C_sg: Array, noise: Array) -> Array:
+    """Return what the noise of the gyro adds to the score of each effect on average, (..., n, 3).
+
+    An effect that goes with the rate is scored along what the gyro read, of which the noise is
+    in the innovation as well: with q the angular random walk, n the noise of the mean rate over an
+    interval of the length T and theta the error of the turn, ``E[n theta'] = -q^2 C_gs``,
+    whatever T is. Left in, the score of a coarse gyro grows without end (errors in the variables).
+
+    Parameters
+    ----------
+    N : (..., 3, 3) array
+        A' S^-1 A of `innovation_tests`, in s.
+    C_sg : (..., 3, 3) array
+        Mounting.
+    noise : (..., 2) array
+        q^2 times the part of the last reading that lies before the frame [rad^2/s], and q^2 T
+        [rad^2].
+    """
+    b = np.zeros((*N.shape[:-2], len(HYPOTHESES), WIDTH))
+    in_g = np.swapaxes(C_sg, -1, -2) @ N @ C_sg * (1e-6 * noise[..., 1, None, None])
+    b[..., TIME, 0] = -1e-3 * noise[..., 0] * np.trace(N, axis1=-2, axis2=-1)
+    b[..., SCALE_FACTORS, :] = np.diagonal(in_g, axis1=-2, axis2=-1)
+    for column, (i, j) in enumerate(_PAIRS):
+        b[..., MISALIGNMENTS, column] = 2.0 * in_g[..., i, j]
+    return b

@@ -635,6 +635,23 @@ def _direct(H, C, rate_s, u_i, uv, magnitude, half, d, along):
 
 
 @_jit
+def _undrawn(N, C_sg, noise, s):
+    """Take off the scores s what `hypotheses.drawn` returns."""
+    s[TIME, 0] += 1e-3 * noise[0] * (N[0, 0] + N[1, 1] + N[2, 2])
+    for i in range(3):
+        for j in range(i, 3):
+            value = 0.0
+            for k in range(3):
+                for m in range(3):
+                    value += C_sg[k, i] * N[k, m] * C_sg[m, j]
+            value *= 1e-6 * noise[1]
+            if i == j:
+                s[SCALE_FACTORS, i] -= value
+            else:
+                s[MISALIGNMENTS, i + j - 1] -= 2.0 * value
+
+
+@_jit
 def _along(E, GE, g, sized, paired):
     """Write E'g, and the products of a column of E with its own of GE and those before it."""
     n, columns = E.shape
@@ -651,10 +668,10 @@ def _along(E, GE, g, sized, paired):
 
 @_jit('void(f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], '
       'f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], '
-      'f8[:,::1], b1[:,::1], f8[::1], f8[::1], f8[::1], '
+      'f8[:,::1], b1[:,::1], f8[::1], f8[::1], f8[::1], f8[:,:,::1], f8[:,::1], '
       'b1[::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[:,::1], f8[::1])')
 def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, magnitude, accepted,
-           spread, nis, half, judged, e, L_N, normal, cell, log_det):
+           spread, nis, half, C_sg, noise, judged, e, L_N, normal, cell, log_det):
     # With P = L^-1 M': D' S^-1 D = D' D - (P D)' (P D) of any directions D. Of effects that move
     # the states alone D = H E, of the others H E + d, d of few columns or few rows.
     runs, n, columns = E.shape
@@ -803,6 +820,7 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
             for q in range(len(_FIRST)):
                 c, b = _PLACE[_FIRST[q]], _PLACE[_SECOND[q]]
                 information[r, c // WIDTH, c % WIDTH, b % WIDTH] += dSd[q]
+            _undrawn(N, C_sg[r], noise[r], s[r])
         _multiplied(root[r], X, RX)
         for i in range(n):
             for c in range(columns):
@@ -813,24 +831,30 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
 
 def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Array,
           information: Array, C_si: Array, rate_s: Array, u_i: Array, uv: Array, sigma: Array,
-          magnitude: Array, accepted: Mask, spread: Array, nis: Array, half: Array) -> TurnFound:
+          magnitude: Array, accepted: Mask, spread: Array, nis: Array, half: Array, C_sg: Array,
+          noise: Array) -> TurnFound:
     """Do as `reference.judge`."""
     runs = len(nis)
     found = TurnFound(
         np.empty(runs, np.bool_), np.empty((runs, 3)), np.empty((runs, 3, 3)), np.empty(uv.shape),
         np.empty(sigma.shape, np.int64), np.empty(runs))
     _judge(*map(ready, (z, H, M, L, root)), E, s, information,
-           *map(ready, (C_si, rate_s, u_i, uv, sigma, magnitude, accepted, spread, nis, half)),
+           *map(ready, (C_si, rate_s, u_i, uv, sigma, magnitude, accepted, spread, nis, half,
+                        C_sg, noise)),
            *found)
     return found
 
 
-@_jit('void(f8[::1], f8[:,::1], f8, i8, f8[::1], f8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], '
-      'f8[::1], b1, i8[::1], f8[::1], f8[:,::1], i8[::1], f8[::1], i8[::1], f8[::1])')
-def _tally(e, L, nis, used, rate, normal, cell, magnitude, run, window, last, follows, rows,
-           star_frames, star_sums, cell_count, cell_squares, magnitude_count, magnitude_squares):
+@_jit('void(f8[::1], f8[:,::1], f8, i8, f8[::1], f8[:,::1], i8[::1], f8[::1], f8, f8[::1], '
+      'f8[::1], f8[::1], b1, i8[::1], f8[::1], f8[:,::1], i8[::1], f8[::1], i8[::1], f8[::1])')
+def _tally(e, L, nis, used, rate, normal, cell, magnitude, noise, run, window, last, follows,
+           rows, star_frames, star_sums, cell_count, cell_squares, magnitude_count,
+           magnitude_squares):
     turn, along, square, lag = 0.0, 0.0, 0.0, 0.0
     added = np.zeros(SUMS)
+    for i in range(3):
+        for j in range(3):
+            along += noise * L[i, j] * L[i, j]
     for j in range(3):
         w = rate[0] * L[0, j] + rate[1] * L[1, j] + rate[2] * L[2, j]
         turn += e[j] * e[j]
@@ -865,10 +889,10 @@ def tally(frame: FrameInnovation, run: Array, window: Array, last: Array, follow
           rows: Ints, star_frames: Array, star_sums: Array, cell_count: Ints, cell_squares: Array,
           magnitude_count: Ints, magnitude_squares: Array) -> None:
     """Do as `frame_innovation.tally`."""
-    e, L, nis, used, rate, _, normal, cell, magnitude = frame
-    _tally(*map(ready, (e, L)), nis, used, *map(ready, (rate, normal, cell, magnitude)), run,
-           window, last, follows, ready(rows), star_frames, star_sums, cell_count, cell_squares,
-           magnitude_count, magnitude_squares)
+    e, L, nis, used, rate, _, normal, cell, magnitude, noise = frame
+    _tally(*map(ready, (e, L)), nis, used, *map(ready, (rate, normal, cell, magnitude)), noise,
+           run, window, last, follows, ready(rows), star_frames, star_sums, cell_count,
+           cell_squares, magnitude_count, magnitude_squares)
 
 
 # Ordinary frames, one after the other
@@ -882,7 +906,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
     (density, scale, lens_shift, largest, half, hourly, walk, gap_acceleration, trail_s, pitch_mm,
      cos_field, gate, guarded, largest_correction, sigma_acquired, wide, most_torn, torn_nis,
      least_stars, window_frames) = constants
-    Delta, J, durations, gap_turn, reading, reference = intervals
+    Delta, J, durations, gap_turn, reading, share, reference = intervals
     begin, all_u_i, all_uv, all_sigma, all_magnitude, row = stars
     (E, s, information, run, window, last_e, follows, star_frames, star_sums, cell_count,
      cell_squares, magnitude_count, magnitude_squares) = sums
@@ -898,6 +922,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
     C_gi_2, bias_2, C_sg_2, intrinsics_2 = (np.empty((1, 3, 3)), np.empty((1, 3)),
                                             np.empty((1, 3, 3)), np.empty((1, 7)))
     nis, spread, L = np.empty(1), np.empty(1), np.empty((1, n, n))
+    noise = np.empty((1, 2))
     judged, e, L_N, log_det = (np.empty(1, np.bool_), np.empty((1, 3)), np.empty((1, 3, 3)),
                                np.empty(1))
     for k in range(most):
@@ -963,13 +988,15 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
         # The tests of the model
         _carry(E, Phi, C_gi, C_gi_1, C_sg, Delta[k:k + 1], J[k:k + 1], durations[k:k + 1], hourly)
         normal, cell = np.empty((1, count, 2)), np.empty((1, count), np.int64)
-        _judge(z, H, M, L, root_2, E, s, information, C_si, rate, u_i, uv, deviation,
-               all_magnitude[first:last].reshape(1, count), accepted, spread, nis, half, judged,
-               e, L_N, normal, cell, log_det)
+        place = uv - residual
+        noise[0, 0], noise[0, 1] = walk * walk * share[k], walk * walk * duration
+        _judge(z, H, M, L, root_2, E, s, information, C_si, rate, u_i, place, deviation,
+               all_magnitude[first:last].reshape(1, count), accepted, spread, nis, half, C_sg,
+               noise, judged, e, L_N, normal, cell, log_det)
         if judged[0]:
             chosen = np.flatnonzero(accepted[0])
             _tally(e[0], L_N[0], nis[0], used, rate[0], normal[0][chosen], cell[0][chosen],
-                   all_magnitude[first:last][chosen], run, window, last_e, follows[0],
+                   all_magnitude[first:last][chosen], noise[0, 0], run, window, last_e, follows[0],
                    row[first:last][chosen], star_frames, star_sums, cell_count, cell_squares,
                    magnitude_count, magnitude_squares)
         follows[0] = judged[0]

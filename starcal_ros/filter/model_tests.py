@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.core.kalman import Evidence
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
 from starcal_ros.filter import arithmetic, hypotheses
 from starcal_ros.filter.belief import Nominal
@@ -37,7 +38,7 @@ from starcal_ros.filter.innovation_tests import (MARGIN, NOISE_TESTS, SCATTER, W
 from starcal_ros.filter.likelihood import Likelihood
 from starcal_ros.filter.noise_levels import Scores
 from starcal_ros.filter.responses import WIDTH, Fit, Responses
-from starcal_ros.filter.states import THETA
+from starcal_ros.filter.states import SCALE, THETA
 from starcal_ros.filter.stretch import Gained, TestSums
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
@@ -134,6 +135,7 @@ class ModelTests:
         self.changes: list[ModelChange] = []
         self.likelihood = Likelihood(filter_.detector)
         self.scores, self.noise_known = scores, True
+        self._noise, self._afresh = np.zeros(2), False  # of the interval before the next frame
         self.turn: Array = np.full(3, np.nan)
         self._thinned = 1
         self._windows = 0
@@ -150,9 +152,21 @@ class ModelTests:
 
     # Coming in
 
-    def carry(self, gyro: Preintegrated, before: Nominal, after: Nominal, Phi: Array) -> None:
-        """Know of an interval: its beginning, its end, and the transition of the errors."""
-        runs = self._runs
+    def carry(self, gyro: Preintegrated, before: Nominal, after: Nominal, Phi: Array,
+              noise: Array) -> None:
+        """Know of an interval.
+
+        Parameters
+        ----------
+        gyro : Preintegrated
+        before, after : Nominal
+            At its beginning and its end.
+        Phi : (..., n, n) array
+            Transition of the scaled errors.
+        noise : (..., 2) array
+            From `Filter.noise`.
+        """
+        runs, self._noise = self._runs, noise
         arithmetic.carry(
             runs(self._responses.E, 2), runs(Phi, 2), runs(before.C_gi, 2), runs(after.C_gi, 2),
             runs(after.C_sg, 2), runs(gyro.Delta, 2), runs(gyro.J, 2), runs(gyro.duration, 0))
@@ -162,6 +176,7 @@ class ModelTests:
     def found(self) -> None:
         """Know that the attitude was found afresh."""
         self._responses.forget(THETA)
+        self._afresh = True
         if self.scores is not None:
             self.scores.found()
 
@@ -185,13 +200,18 @@ class ModelTests:
         assert said is not None
         responses, self._root = self._responses, update.belief.root
         rate = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])[..., 0]
-        runs = self._runs
+        runs, drawn = self._runs, self._drawn(said, predicted)
         found = arithmetic.judge(
             runs(said.z, 1), runs(said.H, 2), runs(said.M, 2), runs(said.L, 2), runs(said.root, 2),
             runs(responses.E, 2), runs(responses.s, 2), runs(responses.information, 3),
             runs(predicted.C_si, 2), runs(rate, 1), runs(stars.u_i, 2), runs(update.place, 2),
             runs(stars.sigma, 1), runs(magnitude, 1), runs(update.accepted, 1),
-            runs(update.spread, 0), runs(update.nis, 0), self._half)
+            runs(np.where(self._afresh, np.inf, update.spread), 0), runs(update.nis, 0),
+            self._half, runs(predicted.C_sg, 2), runs(self._noise, 1))
+        if drawn is not None:
+            responses.s[:] -= np.where(runs.back(found.judged)[..., None, None], drawn, 0.0)
+        noise = np.broadcast_to(self._noise, (*self._batch, 2))
+        self._noise, self._afresh = np.zeros(2), False
         # The scatter of a frame that is believed less is not what is stated.
         judged = found.judged & np.ravel(update.linear)
         self.turn = found.e[0] if judged[0] else np.full(3, np.nan)
@@ -210,9 +230,18 @@ class ModelTests:
             ended = tests.add(FrameInnovation(
                 found.e[k], found.L[k], float(update.nis[run]), int(used[run]), rate[run],
                 catalog_id[run][use], found.normal[k][use], found.cell[k][use],
-                magnitude[run][use])) or ended
+                magnitude[run][use], float(noise[run][0]))) or ended
         if ended:
             self._keep(stamp_ns)
+
+    def _drawn(self, said: Evidence, predicted: Nominal) -> Array | None:
+        """Return what the noise of the gyro adds to the scores by way of optional states."""
+        if not predicted.augmentation.draws:
+            return None
+        N, _ = said.explained(said.H[..., THETA] / SCALE[0])
+        b = predicted.augmentation.drawn(N, np.broadcast_to(self._noise, (*self._batch, 2)))
+        added = np.swapaxes(self._responses.E, -1, -2) @ b[..., None]
+        return added[..., 0].reshape(self._responses.s.shape)
 
     @property
     def until_due(self) -> int:

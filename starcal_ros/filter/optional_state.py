@@ -127,6 +127,19 @@ class OptionalState:
         """
         return None
 
+    def drawn(self, N: Array, noise: Array) -> Array | None:
+        """Return what the noise of the gyro adds to the score of the errors on average, (..., k).
+
+        None where the state does not go with the rate.
+
+        Parameters
+        ----------
+        N : (..., 3, 3) array
+        noise : (..., 2) array
+            See `hypotheses.drawn`.
+        """
+        return None
+
     def looked(self, values: Array, C_sg: Array, rate_g: Array) -> Looked | None:
         """Return what the state does to a frame; None for nothing.
 

@@ -44,7 +44,8 @@ class OrdinaryFrames:
     def __init__(self, gyro: Preintegrated, frames: Frames, stars: Stars) -> None:
         assert gyro.bias is not None
         self._intervals = Intervals(ready(gyro.Delta), ready(gyro.J), ready(gyro.duration),
-                                    ready(gyro.gap_turn), ready(gyro.reading), ready(gyro.bias[0]))
+                                    ready(gyro.gap_turn), ready(gyro.reading), ready(gyro.share),
+                                    ready(gyro.bias[0]))
         self._frames, self._first = frames, frames.first
         self._stars = Stars(*map(ready, stars))
         self._magnitude = ready(frames.magnitude)

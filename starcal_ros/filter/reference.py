@@ -335,7 +335,8 @@ def carry(E: Array, Phi: Array, C_gi_before: Array, C_gi: Array, C_sg: Array, De
 
 def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Array,
           information: Array, C_si: Array, rate_s: Array, u_i: Array, uv: Array, sigma: Array,
-          magnitude: Array, accepted: Mask, spread: Array, nis: Array, half: Array) -> TurnFound:
+          magnitude: Array, accepted: Mask, spread: Array, nis: Array, half: Array, C_sg: Array,
+          noise: Array) -> TurnFound:
     """Take a frame into the responses to effects, in place, and tell what it says of turns.
 
     Parameters
@@ -354,6 +355,10 @@ def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Arra
         See `error_state.Update`.
     half : (2,) array
         Half of the detector [px].
+    C_sg : (r, 3, 3) array
+        Mounting.
+    noise : (r, 2) array
+        Of `hypotheses.drawn`.
     """
     said = kalman.Evidence(z, H, M, L, root)
     N, v = said.explained(H[..., THETA] / SCALE[0])
@@ -365,6 +370,8 @@ def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Arra
     known = hypotheses.direct(said, C_si, rate_s, hypotheses.Sight(u_i, uv, magnitude, half))
     d[..., :known.shape[-1]] = known
     responses.respond(said, d, np.asarray(judged), E, s, information)
+    drawn = hypotheses.drawn(N, C_sg, noise)
+    s[..., :drawn.shape[-2], :] -= np.where(judged[..., None, None], drawn, 0.0)
     root_N = np.linalg.cholesky(np.where(judged[..., None, None], N, np.eye(3)))
     variance = np.einsum('...i,...i->...', M, M)
     normal = (z / np.sqrt(1.0 + variance)).reshape(uv.shape)

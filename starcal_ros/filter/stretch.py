@@ -87,13 +87,14 @@ class Intervals(NamedTuple):
     duration: Array
     gap_turn: Array
     reading: Array
+    share: Array
     bias: Array
 
     def part(self, begin: int, end: int) -> Intervals:
         """Return those of some of the frames."""
         rows = slice(begin, end)
         return Intervals(self.Delta[rows], self.J[rows], self.duration[rows], self.gap_turn[rows],
-                         self.reading[rows], self.bias)
+                         self.reading[rows], self.share[rows], self.bias)
 
 
 class StretchStars(NamedTuple):
@@ -187,7 +188,7 @@ def example() -> tuple[Values, Constants, Intervals, StretchStars, TestSums, Gai
         Values(a((1, 3, 3)), a((1, 3)), a((1, 3, 3)), a((1, 7)), a((1, N_STATES, N_STATES))),
         Constants(a(13), a(N_STATES), a(7), a((10, 10)), a(2), a((1, 1, 1)), *(1.0,) * 6, True,
                   *(1.0,) * 5, 1, 1.0),
-        Intervals(a((1, 3, 3)), a((1, 3, 3)), a(1), a(1), a((1, 3)), a(3)),
+        Intervals(a((1, 3, 3)), a((1, 3, 3)), a(1), a(1), a((1, 3)), a(1), a(3)),
         StretchStars(ints, a((1, 3)), a((1, 2)), a(1), a(1), ints),
         TestSums(a((1, N_STATES, WIDTH)), a((1, 1, WIDTH)), a((1, 1, WIDTH, WIDTH)), a(SUMS),
                  a(SUMS), a(3), a(1, np.bool_), a(1), a((1, 2)), a(CELLS * CELLS, np.int64),

@@ -57,6 +57,8 @@ class Preintegrated(NamedTuple):
     reading : (..., 3) array
         The gyro's reading at the end of the interval, bias included [rad/s]; only a time offset
         needs it.
+    share : (...) array
+        Part of what that reading covers which lies before the end.
     bias : (..., 3) array, optional
         Reference bias [rad/s]; None for the one that is believed.
     gain : (..., 3, 3) array
@@ -70,6 +72,7 @@ class Preintegrated(NamedTuple):
     duration: Array
     gap_turn: Array
     reading: Array = np.zeros(3)
+    share: Array = np.ones(())
     bias: Array | None = None
     gain: Array = np.eye(3)
     path: Array = np.zeros(())
@@ -121,9 +124,7 @@ def cut(gyro: GyroSamples, cuts_ns: Ints, period_ns: float) -> Pieces:
     first = max(int(np.searchsorted(gyro.stamp_ns, cuts_ns[0], side='right')) - 1, 0)
     gyro = gyro[first:int(np.searchsorted(gyro.stamp_ns, cuts_ns[-1])) + 1]
     stamps = gyro.stamp_ns
-    # A live node comes here with each reading: numpy's diff would take half of the time.
-    step = np.concatenate(([int(period_ns)], stamps[1:] - stamps[:-1]))
-    begins = stamps - np.where(step > GAP * period_ns, int(period_ns), step)
+    begins = stamps - _covered_ns(stamps, period_ns)
     # Sorted by hand: numpy's unique hashes, which costs ten times as much.
     ends = np.sort(np.concatenate((stamps, begins, cuts_ns)), kind='stable')
     fresh = np.concatenate(([True], ends[1:] > ends[:-1]))
@@ -166,6 +167,9 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
     """
     pieces = cut(gyro, cuts_ns, period_ns)
     n = len(cuts_ns) - 1
+    last = np.searchsorted(gyro.stamp_ns, cuts_ns[1:])
+    covered_ns = _covered_ns(gyro.stamp_ns, period_ns)[last]
+    share = 1.0 - (gyro.stamp_ns[last] - cuts_ns[1:]) / covered_ns
     interval = np.searchsorted(cuts_ns, pieces.end_ns) - 1
     first = np.searchsorted(interval, np.arange(n + 1))
     theta = (pieces.rate - bias) @ gain.T * pieces.dt[:, None]
@@ -178,10 +182,17 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
             np.arange(first[low], first[high]) - first[interval[rows]], high - low, with_matrix)
     return Preintegrated(Delta, J, np.diff(cuts_ns) * NS,
                          np.bincount(interval, pieces.gap_turn, n).astype(np.float64),
-                         gyro.rate[np.searchsorted(gyro.stamp_ns, cuts_ns[1:])],
+                         gyro.rate[last], np.maximum(share, 0.0),
                          np.broadcast_to(bias, (n, 3)), np.broadcast_to(gain, (n, 3, 3)),
                          np.bincount(interval, np.linalg.norm(theta, axis=-1), n).astype(
                              np.float64))
+
+
+def _covered_ns(stamps: Ints, period_ns: float) -> Ints:
+    """Return how long a time each reading covers, (n,)."""
+    # A live node comes here with each reading: numpy's diff would take half of the time.
+    step = np.concatenate(([int(period_ns)], stamps[1:] - stamps[:-1]))
+    return np.where(step > GAP * period_ns, int(period_ns), step)
 
 
 def _compose(theta: Array, dt: Array, interval: Ints, rank: Ints,

@@ -70,7 +70,7 @@ def noise(n, rng, scale=1.0, used=25):
         yield FrameInnovation(
             e, 1e5 * rotation.exp(rng.normal(size=3)), float(e @ e + rest), used,
             0.01 * rng.normal(size=3), np.arange(used), rng.normal(size=(used, 2)),
-            np.arange(used) % CELLS**2, np.linspace(1.0, 8.0, used))
+            np.arange(used) % CELLS**2, np.linspace(1.0, 8.0, used), 0.0)
 
 
 def test_frames_of_a_right_model_pass_in_all_of_100_runs():

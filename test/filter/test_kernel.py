@@ -101,7 +101,7 @@ def test_the_tests_of_the_model_are_those_of_the_reference(m):
     E = rng.normal(size=(RUNS, 16 + m, 3 * 40))
     interval = an_interval(m, False)
     carried = reference.propagate(*interval)
-    parts = []
+    parts, noise = [], 1e-9 * rng.random((RUNS, 2))
     for part in (kernel, reference):
         E_one, s, information = E.copy(), np.ones((RUNS, 40, 3)), np.ones((RUNS, 40, 3, 3))
         part.carry(E_one, carried.Phi, interval[0], carried.C_gi, interval[1], interval[4],
@@ -111,7 +111,8 @@ def test_the_tests_of_the_model_are_those_of_the_reference(m):
             after.z, after.H, after.M, after.L, after.root, E_one, s, information, frame[6],
             rng.permutation(0.01 * np.ones((RUNS, 3))), frame[10], frame[11], frame[12],
             np.where(np.arange(STARS) % 3, 5.5, np.nan) * np.ones((RUNS, 1)), after.accepted,
-            spread, after.nis, 0.5 * np.array([DETECTOR.width, DETECTOR.height], float))
+            spread, after.nis, 0.5 * np.array([DETECTOR.width, DETECTOR.height], float),
+            frame[2], noise)
         parts.append((E_one, s, information, judged))
     assert parts[0][-1].judged.any()
     for left, right in zip(parts[0][:3], parts[1][:3]):
@@ -143,7 +144,7 @@ def test_the_sums_over_frames_are_those_of_the_reference():
         frame = FrameInnovation(
             rng.normal(size=3), rng.normal(size=(3, 3)), 20.0 * rng.random(), 7,
             rng.normal(size=3), np.arange(7), rng.normal(size=(7, 2)), rng.integers(0, 16, 7),
-            magnitude)
+            magnitude, 1e-3 * rng.random())
         rows = rng.integers(0, 20, 7)
         for tally, (run, window, last, *rest) in zip(
                 (kernel.tally, frame_innovation.tally), sums):
