@@ -145,7 +145,8 @@ def _interval(filter_: Filter, now: Nominal, rates: Array) -> Preintegrated:
     if now.augmentation.needs_matrix:       # J_r dt (I kron omega')
         J = np.concatenate((J, (J[..., None] * measured[:, None, None]).reshape(k, 3, 9)), axis=-1)
     return Preintegrated(rotation.exp(-measured * dt), J, np.full(k, dt), np.zeros(k), readings,
-                         np.ones(k), filter_.start.bias)
+                         np.ones(k), np.full(k, dt),
+                         readings, filter_.start.bias)
 
 
 def _look(filter_: Filter, nominal: Nominal) -> Array:

@@ -18,7 +18,8 @@ import numpy as np
 from starcal_ros.config.estimator import AugmentConfig
 from starcal_ros.core.arrays import Array
 from starcal_ros.filter.gyro_matrix import GyroMatrix
-from starcal_ros.filter.optional_state import OptionalState
+from starcal_ros.filter.noise_moments import NoiseMoments
+from starcal_ros.filter.optional_state import Drawn, OptionalState
 from starcal_ros.filter.pixel_phase import PixelPhase
 from starcal_ros.filter.states import N_STATES, SCALE
 from starcal_ros.filter.time_offset import TimeOffset
@@ -99,25 +100,27 @@ class Augmentation:
         return G
 
     @cached_property
+    def effects(self) -> frozenset[int]:
+        """Effects of `hypotheses` that a state is."""
+        return frozenset(effect for state in self.on for effect in state.effects)
+
+    @cached_property
     def draws(self) -> bool:
         """Whether the noise of the gyro draws a state along."""
         return any(type(state).drawn is not OptionalState.drawn for state in self.on)
 
-    def drawn(self, N: Array, noise: Array) -> Array:
-        """Return what it adds to the scores of the scaled errors on average, (..., 16 + m).
+    def drawn(self, N: Array, T: Array, moments: NoiseMoments, values: Array) -> Drawn:
+        """Return what it adds for the scaled errors, (..., 16 + m) each, as `OptionalState.drawn`.
 
-        Parameters
-        ----------
-        N : (..., 3, 3) array
-        noise : (..., 2) array
-            See `hypotheses.drawn`.
+        ``values`` are those of all states that are on, (..., m).
         """
-        b = np.zeros((*N.shape[:-2], len(self.scale)))
-        for state, _, among in self.errors():
-            drawn = state.drawn(N, noise)
+        added = Drawn(*np.zeros((2, *N.shape[:-2], len(self.scale))))
+        for state, place, among in self.errors():
+            drawn = state.drawn(N, T, moments, values[..., place])
             if drawn is not None:
-                b[..., among] = drawn * self.scale[among]
-        return b
+                added.score[..., among] = drawn.score * self.scale[among]
+                added.information[..., among] = drawn.information * self.scale[among]**2
+        return added
 
 
 NONE = Augmentation()

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -35,6 +35,12 @@ class Nominal:
         The gyro's reading at the stamp, bias included [rad/s]; optional states may need it.
     augmentation : Augmentation
         Which optional states are on.
+    steady : (..., 3) array
+        Rate of g in which noise of the gyro does not show; zero where all may be noise [rad/s].
+    by_noise : (..., m) array
+        Information on each scaled error of the optional states that such noise feigned.
+    moments : (..., 2, 3, 3) array
+        Of `NoiseMoments`, after the frame before.
     """
 
     C_gi: Array
@@ -44,19 +50,25 @@ class Nominal:
     augmented: Array = field(default_factory=lambda: np.empty(0))
     reading: Array = field(default_factory=lambda: np.zeros(3))
     augmentation: Augmentation = NONE
+    steady: Array = field(default_factory=lambda: np.zeros(3))
+    by_noise: Array = field(default_factory=lambda: np.zeros(()))
+    moments: Array = field(default_factory=lambda: np.zeros((2, 3, 3)))
 
     @classmethod
     def stacked(cls, runs: Sequence[Nominal]) -> Nominal:
         """Return the values of some runs of one filter as those of a batch."""
-        C_gi, bias, C_sg, intrinsics, augmented, reading = (
-            np.stack([getattr(run, name) for run in runs])
-            for name in ('C_gi', 'bias', 'C_sg', 'intrinsics', 'augmented', 'reading'))
-        return cls(C_gi, bias, C_sg, intrinsics, augmented, reading, runs[0].augmentation)
+        return cls(**{name: np.stack([getattr(run, name) for run in runs])
+                      for name in cls.names()}, augmentation=runs[0].augmentation)
 
     def of_run(self, run: int) -> Nominal:
         """Return the values of one run of a batch."""
-        return replace(self, **{name: getattr(self, name)[run] for name in (
-            'C_gi', 'bias', 'C_sg', 'intrinsics', 'augmented', 'reading')})
+        return Nominal(**{name: getattr(self, name)[run] for name in self.names()},
+                       augmentation=self.augmentation)
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Return the names of all the arrays."""
+        return [part.name for part in fields(cls) if part.name != 'augmentation']
 
     @property
     def C_si(self) -> Array:
@@ -71,15 +83,16 @@ class Nominal:
         return self.set_to(C_gi, self.bias - error[..., EPSILON], C_sg,
                            self.intrinsics - error[..., LENS], error)
 
-    def at(self, C_gi: Array, reading: Array) -> Nominal:
-        """Return these values with the attitude and the reading of another time."""
+    def at(self, C_gi: Array, reading: Array, steady: Array) -> Nominal:
+        """Return these values with the attitude, the reading and the rate of another time."""
         return Nominal(C_gi, self.bias, self.C_sg, self.intrinsics, self.augmented, reading,
-                       self.augmentation)
+                       self.augmentation, steady, self.by_noise, self.moments)
 
     def moved(self, C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, reading: Array
               ) -> Nominal:
         """Return other values of T18's states at another time, the optional ones these."""
-        return Nominal(C_gi, bias, C_sg, intrinsics, self.augmented, reading, self.augmentation)
+        return Nominal(C_gi, bias, C_sg, intrinsics, self.augmented, reading,
+                       self.augmentation, self.steady, self.by_noise, self.moments)
 
     def set_to(self, C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array
                ) -> Nominal:
@@ -89,7 +102,8 @@ class Nominal:
             augmented = np.concatenate([
                 state.freed(augmented[..., place], error[..., among], self.C_sg)
                 for state, place, among in self.augmentation.errors()], axis=-1)
-        return Nominal(C_gi, bias, C_sg, intrinsics, augmented, self.reading, self.augmentation)
+        return Nominal(C_gi, bias, C_sg, intrinsics, augmented, self.reading,
+                       self.augmentation, self.steady, self.by_noise, self.moments)
 
     def minus(self, truth: Nominal) -> Array:
         """Return the error (..., 16 + m) of these values, its attitude part theta."""
@@ -172,6 +186,12 @@ class Belief:
     def tracker_sigma(self) -> Array:
         """Standard deviation of theta, (..., 3): the attitude of the star tracker [rad]."""
         return SCALE[THETA] * np.linalg.norm(self.root[..., THETA, :], axis=-1)
+
+    @property
+    def told_by_noise(self) -> Array:
+        """Part of what is known of each optional state that the gyro's noise feigned, (..., m)."""
+        variance = np.sum(self.root[..., N_STATES:, :]**2, axis=-1)
+        return np.asarray(self.nominal.by_noise * variance)
 
     @property
     def is_finite(self) -> bool:

@@ -72,8 +72,9 @@ from starcal_ros.filter import arithmetic, reference
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.curvature import Curvature
+from starcal_ros.filter.noise_moments import NoiseMoments
 from starcal_ros.filter.optional_state import OptionalState
-from starcal_ros.filter.states import CALIBRATED, SCALE, THETA, UNIT
+from starcal_ros.filter.states import CALIBRATED, N_STATES, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
 
@@ -86,6 +87,10 @@ and not the fix, is what the estimate knows."""
 LARGEST_CORRECTION = 1e-4
 """Turn by which the present bias and gain may correct an interval to first order [rad]: what its
 square leaves out is 5e-9 rad, 0.001 arcsec."""
+MOST_BY_NOISE = 0.5
+"""Part of what is known of an optional state that noise of the gyro feigned, at most."""
+
+_BEYOND = 4.0           # sigmas of an axis that noise does not reach: 1e-3 of the time
 
 
 class Update(NamedTuple):
@@ -112,6 +117,9 @@ class Update(NamedTuple):
         those of the innovation, unlike those of what was measured or predicted before [px].
     evidence : Evidence, optional
         What it said of the model, where asked for.
+    drawn : (..., n) array, optional
+        What the noise of the gyro added to the scores of the scaled errors on average, and was
+        taken off; None where no state goes with the rate.
     """
 
     belief: Belief
@@ -123,6 +131,7 @@ class Update(NamedTuple):
     linear: Mask
     place: Array
     evidence: kalman.Evidence | None = None
+    drawn: Array | None = None
 
 
 class Filter:
@@ -150,7 +159,9 @@ class Filter:
         self.augmentation = Augmentation.of(options.augment)
         self.start = Nominal(np.eye(3), np.array(scenario.gyro.bias_deg_h) * DEG_PER_HOUR,
                              mounting_matrix(scenario.mounting), intrinsics(scenario.camera),
-                             np.zeros(self.augmentation.size), augmentation=self.augmentation)
+                             np.zeros(self.augmentation.size),
+                             by_noise=np.zeros(self.augmentation.size),
+                             augmentation=self.augmentation)
         self.initial_sigma = np.concatenate((
             np.full(3, SIGMA_ACQUIRED), of_calibrated(options.initial_sigma) * UNIT[CALIBRATED],
             self.augmentation.initial_sigma(options.augment)))
@@ -169,11 +180,10 @@ class Filter:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
         batch, n, start = C_gi.shape[:-2], len(self.scale), self.start
         root = np.broadcast_to(self._start_root, (*batch, n, n))
-        bias, C_sg, intrinsics, augmented = (
-            np.broadcast_to(part, (*batch, *part.shape))
-            for part in (start.bias, start.C_sg, start.intrinsics, start.augmented))
-        nominal = Nominal(C_gi, bias, C_sg, intrinsics, augmented,
-                          augmentation=self.augmentation)
+        others = {name: getattr(start, name) for name in start.names() if name != 'C_gi'}
+        nominal = Nominal(C_gi, **{
+            name: np.broadcast_to(part, (*batch, *part.shape)) for name, part in others.items()},
+            augmentation=self.augmentation)
         return Belief(nominal, np.zeros((*batch, n)), root)
 
     def reacquired(self, belief: Belief, C_gi: Array) -> Belief:
@@ -183,7 +193,8 @@ class Filter:
         root = np.zeros_like(belief.root)
         root[..., 3:, 3:] = np.swapaxes(np.linalg.qr(known, mode='r'), -1, -2)
         root[..., THETA, THETA] = np.eye(3) * (SIGMA_ACQUIRED / SCALE[THETA])
-        return Belief(replace(estimate, C_gi=C_gi), np.zeros_like(belief.error), root)
+        nominal = replace(estimate, C_gi=C_gi, moments=np.zeros_like(estimate.moments))
+        return Belief(nominal, np.zeros_like(belief.error), root)
 
     def walking(self, density: Array) -> Filter:
         """Return the filter with further random walks, (13,) in units of SCALE per root second."""
@@ -270,7 +281,23 @@ class Filter:
             runs(belief.root, 2), runs(gyro.Delta, 2), runs(turn, 1), runs(J_b, 2),
             runs(slopes, 2), runs(sigma, 0), runs(gyro.duration, 0), self.density, self.scale)
         C_gi, error, root, Phi = (runs.back(part) for part in after)
-        return Belief(nominal.at(C_gi, gyro.reading), error, root), Phi
+        return Belief(nominal.at(C_gi, gyro.reading, self._steady(belief, gyro)), error, root), Phi
+
+    def _steady(self, belief: Belief, gyro: Preintegrated) -> Array:
+        """Return the rate of g at the end of an interval without what may be noise, (..., 3).
+
+        The mean over the interval where it is beyond noise, and the last reading in its place
+        where it differs by more than noise does: a turn begins, or an acceleration. None where
+        noise has told more of a state than stars have: that would be seen in it for good.
+        """
+        nominal = belief.nominal
+        if not self.augmentation.draws:
+            return nominal.steady
+        told = np.all(belief.told_by_noise < MOST_BY_NOISE, axis=-1, keepdims=True)
+        gain, q2 = nominal.augmentation.gain(nominal.augmented), self.walk**2
+        return np.where(told, _beyond(_times(gain, gyro.mean - nominal.bias),
+                                      q2 / np.maximum(gyro.duration, 1e-9))
+                        + _beyond(_times(gain, gyro.reading - gyro.mean), q2 / gyro.covered), 0.0)
 
     def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
         """Return the predicted centroids and their derivatives by the states (T18 Eq. 24).
@@ -332,10 +359,9 @@ class Filter:
         slopes = np.zeros((*nominal.C_gi.shape[:-2], 3, size))
         shift: Array = np.eye(3)
         if size:
-            rate_g = _times(nominal.augmentation.gain(nominal.augmented),
-                            nominal.reading - nominal.bias)
             for state, place, _ in nominal.augmentation.errors():
-                looked = state.looked(nominal.augmented[..., place], nominal.C_sg, rate_g)
+                looked = state.looked(nominal.augmented[..., place], nominal.C_sg,
+                                      nominal.steady)
                 if looked is not None:
                     slopes[..., place] = shift @ looked.slope
                     shift = shift @ looked.C
@@ -381,33 +407,43 @@ class Filter:
         if self.feedback:
             nominal = nominal.set_to(found.C_gi, found.bias, found.C_sg, found.intrinsics,
                                      found.freed)
-        corrected, said = Belief(nominal, found.error, found.root), None
+        corrected, said, drawn = Belief(nominal, found.error, found.root), None, None
         draws = gyro is not None and self.augmentation.draws
         if judged or draws:
             said = kalman.Evidence(found.z, found.H, found.M, found.L, found.root)
         if draws and gyro is not None and said is not None:
-            corrected = self._undrawn(belief, corrected, said, gyro)
+            corrected, drawn = self._undrawn(belief, corrected, said, gyro)
         return Update(corrected, found.chi2, found.accepted, found.nis, found.residual,
-                      found.spread, np.asarray(~left_out.any(axis=-1)), uv - found.residual, said)
+                      found.spread, np.asarray(~left_out.any(axis=-1)), uv - found.residual, said,
+                      drawn)
 
     def noise(self, gyro: Preintegrated) -> Array:
         """Return what `hypotheses.drawn` needs to know of the noise of an interval, (..., 2)."""
         return self.walk**2 * np.stack(np.broadcast_arrays(gyro.share, gyro.duration), axis=-1)
 
     def _undrawn(self, before: Belief, after: Belief, said: kalman.Evidence, gyro: Preintegrated
-                 ) -> Belief:
-        """Take off an update what the noise of the gyro draws the optional states by.
+                 ) -> tuple[Belief, Array]:
+        """Take off an update what the noise of the gyro adds for states that go with the rate.
 
-        States that go with the rate are corrected along what the gyro read, whose noise is in the
-        innovation as well (`hypotheses.drawn`): of ``P H' S^-1 z`` that part has the mean P b.
+        Of ``P H' S^-1 z`` that part has the mean P b, b of `noise_moments`. Of what the covariance
+        seems to lose by it nothing is known, and the score scatters by as much.
         """
+        nominal, q2 = before.nominal, self.walk**2
         N, _ = said.explained(said.H[..., THETA] / SCALE[0])
-        b = self.augmentation.drawn(N, self.noise(gyro))
-        by_root = np.swapaxes(before.root, -1, -2)
-        error = -self.scale * _times(before.root, _times(by_root, b))
-        if self.feedback:
-            return replace(after, nominal=after.nominal.without(error))
-        return replace(after, error=after.error + error)
+        old = NoiseMoments(*np.moveaxis(nominal.moments, -3, 0))
+        moments = old.before(np.any(nominal.steady, axis=-1), gyro.duration)
+        drawn = self.augmentation.drawn(
+            q2 * N, np.asarray(gyro.duration), moments, nominal.augmented)
+        P, P_after = (root @ np.swapaxes(root, -1, -2) for root in (before.root, after.root))
+        none = drawn.information / (
+            1.0 + drawn.information * np.diagonal(P, axis1=-2, axis2=-1))
+        columns = (P * np.sqrt(2.0 * none)[..., None, :])[..., N_STATES:]
+        opened = self.opened(after, -_times(P, drawn.score), columns)
+        left = np.swapaxes(np.linalg.solve(
+            P[..., THETA, THETA], P_after[..., THETA, THETA]), -1, -2)
+        return replace(opened, nominal=replace(
+            opened.nominal, by_noise=nominal.by_noise + none[..., N_STATES:],
+            moments=np.stack(old.after(moments, left), axis=-3))), drawn.score
 
     def _displaced(self, belief: Belief, stars: Stars) -> Array:
         """Return how measured centroids depend on the optional states, (..., n, 2, m)."""
@@ -441,6 +477,13 @@ class Filter:
             np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0)), nominal.intrinsics,
             belief.root[..., reference.SEEN, :] * SCALE[reference.SEEN, None],
             np.where(usable, stars.sigma, np.inf))
+
+
+def _beyond(rate: Array, variance: Array) -> Array:
+    """Return what of a rate (..., 3) is beyond noise of a variance (...) of each axis."""
+    square = np.sum(rate**2, axis=-1)
+    part = 1.0 - _BEYOND**2 * variance / np.maximum(square, 1e-300)
+    return rate * np.maximum(part, 0.0)[..., None]
 
 
 def _times(A: Array, x: Array) -> Array:

@@ -41,9 +41,11 @@ the present G. To first order in M it would be wrong by M^2 of the whole turn: 2
 30 deg for M of 5000 ppm.
 
 X turns theta by ``X omega_s T`` in an interval T, of which the noise of the gyro is a part; on
-average it draws X along (`hypotheses.drawn`), row by row by ::
+average it adds b to the score of X, row by row (`noise_moments`) ::
 
     b = -q^2 T A' S^-1 A                                                               (A.7)
+
+What information it feigns, one degree of freedom a frame, is of no account.
 """
 
 from __future__ import annotations
@@ -51,7 +53,9 @@ from __future__ import annotations
 import numpy as np
 
 from starcal_ros.core.arrays import Array
-from starcal_ros.filter.optional_state import OptionalState, Turned
+from starcal_ros.filter.hypotheses import MISALIGNMENTS, SCALE_FACTORS
+from starcal_ros.filter.noise_moments import NoiseMoments
+from starcal_ros.filter.optional_state import Drawn, OptionalState, Turned
 
 PPM = 1e-6
 
@@ -63,6 +67,7 @@ class GyroMatrix(OptionalState):
     names = tuple(f'M_{row}{column}_ppm' for row in 'xyz' for column in 'xyz')
     unit = PPM
     needs_matrix = True
+    effects = (SCALE_FACTORS, MISALIGNMENTS)
 
     def error(self, values: Array, true: Array, C_sg: Array) -> Array:
         """Return X, (..., 9)."""
@@ -97,9 +102,10 @@ class GyroMatrix(OptionalState):
         J_X = C_sg[..., None, :, :] @ J_N @ right[..., None, :, :]
         return Turned(turn, J_b @ G, _flat(J_X))
 
-    def drawn(self, N: Array, noise: Array) -> Array:
+    def drawn(self, N: Array, T: Array, moments: NoiseMoments, values: Array) -> Drawn:
         """Return b of (A.7)."""
-        return -noise[..., 1, None] * _flat(N)
+        b = -T[..., None] * _flat(N)
+        return Drawn(b, np.zeros_like(b))
 
     def integrated(self, turn: Array) -> Array:
         """Return I kron turn', (n, 3, 9)."""

@@ -25,8 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.core.kalman import Evidence
-from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
+from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond, normal_beyond
 from starcal_ros.filter import arithmetic, hypotheses
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
@@ -38,7 +37,7 @@ from starcal_ros.filter.innovation_tests import (MARGIN, NOISE_TESTS, SCATTER, W
 from starcal_ros.filter.likelihood import Likelihood
 from starcal_ros.filter.noise_levels import Scores
 from starcal_ros.filter.responses import WIDTH, Fit, Responses
-from starcal_ros.filter.states import SCALE, THETA
+from starcal_ros.filter.states import N_STATES, THETA
 from starcal_ros.filter.stretch import Gained, TestSums
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
@@ -47,6 +46,8 @@ HISTORY = 200
 """Windows of which the statistics are kept, at most."""
 LEAST = 20
 """Frames before a statistic says anything."""
+BY_NOISE = 0.2
+"""Part of what is known of an optional state that noise of the gyro may have feigned."""
 HARM = 0.5
 """Shift of a state, in its sigmas, that is of no account."""
 
@@ -137,6 +138,9 @@ class ModelTests:
         self.scores, self.noise_known = scores, True
         self._noise, self._afresh = np.zeros(2), False  # of the interval before the next frame
         self.turn: Array = np.full(3, np.nan)
+        self._by_noise = self._beside = np.full(batch, np.nan)     # nothing is told
+        self._prior = filter_.initial_sigma[N_STATES:]
+        self._known = filter_.augmentation.effects
         self._thinned = 1
         self._windows = 0
         self.begin()
@@ -200,7 +204,12 @@ class ModelTests:
         assert said is not None
         responses, self._root = self._responses, update.belief.root
         rate = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])[..., 0]
-        runs, drawn = self._runs, self._drawn(said, predicted)
+        runs, drawn = self._runs, None
+        if update.drawn is not None:        # by way of the optional states
+            drawn = np.swapaxes(responses.E, -1, -2) @ update.drawn[..., None]
+            self._by_noise = np.max(update.belief.told_by_noise, axis=-1)
+            self._beside = np.max(np.abs(
+                update.belief.estimate.augmented) / self._prior, axis=-1)
         found = arithmetic.judge(
             runs(said.z, 1), runs(said.H, 2), runs(said.M, 2), runs(said.L, 2), runs(said.root, 2),
             runs(responses.E, 2), runs(responses.s, 2), runs(responses.information, 3),
@@ -209,7 +218,8 @@ class ModelTests:
             runs(np.where(self._afresh, np.inf, update.spread), 0), runs(update.nis, 0),
             self._half, runs(predicted.C_sg, 2), runs(self._noise, 1))
         if drawn is not None:
-            responses.s[:] -= np.where(runs.back(found.judged)[..., None, None], drawn, 0.0)
+            responses.s[:] -= np.where(runs.back(found.judged)[..., None, None],
+                                       drawn.reshape(responses.s.shape), 0.0)
         noise = np.broadcast_to(self._noise, (*self._batch, 2))
         self._noise, self._afresh = np.zeros(2), False
         # The scatter of a frame that is believed less is not what is stated.
@@ -233,15 +243,6 @@ class ModelTests:
                 magnitude[run][use], float(noise[run][0]))) or ended
         if ended:
             self._keep(stamp_ns)
-
-    def _drawn(self, said: Evidence, predicted: Nominal) -> Array | None:
-        """Return what the noise of the gyro adds to the scores by way of optional states."""
-        if not predicted.augmentation.draws:
-            return None
-        N, _ = said.explained(said.H[..., THETA] / SCALE[0])
-        b = predicted.augmentation.drawn(N, np.broadcast_to(self._noise, (*self._batch, 2)))
-        added = np.swapaxes(self._responses.E, -1, -2) @ b[..., None]
-        return added[..., 0].reshape(self._responses.s.shape)
 
     @property
     def until_due(self) -> int:
@@ -330,6 +331,13 @@ class ModelTests:
                       fits=_sizes(each.effect.numbers, fit, each.effect.place, each.harm),
                       gain=float(fit.gain[each.effect.place]))
             for each in self._effects(run, fit)))
+        if np.isfinite(self._by_noise[run]):
+            furthest = normal_beyond(0.5 * ALARM / len(self._prior))
+            found = (*found, Statistic(
+                'noise of the gyro in the optional states', float(self._by_noise[run]), 0.0,
+                BY_NOISE, tests.frames), Statistic(
+                'optional states in their initial sigmas', float(self._beside[run]), 0.0,
+                furthest, len(self._prior)))
         return tuple(each._replace(since_ns=self._since.get(each.name)) for each in found)
 
     def size(self, effect: int) -> float:
@@ -376,7 +384,7 @@ class ModelTests:
         counted = fit.gain * np.maximum(1.0 - HARM / np.maximum(harm, 1e-300), 0.0)**2
         for effect in self._fitted(counted):
             k = effect.place
-            if fit.freedom[k] > 0:
+            if fit.freedom[k] > 0 and k not in self._known:
                 bound = MARGIN * chi2_beyond(ALARM / effect.tried, int(fit.freedom[k]))
                 yield Weighed(effect, float(counted[k]), bound, float(harm[k]))
 

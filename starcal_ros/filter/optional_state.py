@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.core.arrays import Array
+from starcal_ros.filter.noise_moments import NoiseMoments
 
 
 class Turned(NamedTuple):
@@ -49,6 +50,21 @@ class Looked(NamedTuple):
     slope: Array
 
 
+class Drawn(NamedTuple):
+    """What the noise of the gyro adds to what a frame says of a state, on average.
+
+    Attributes
+    ----------
+    score : (..., k) array
+        To the score of the state's errors.
+    information : (..., k) array
+        To the information on each, which is none.
+    """
+
+    score: Array
+    information: Array
+
+
 class OptionalState:
     """One state of k numbers, off unless its initial sigma is given.
 
@@ -64,6 +80,8 @@ class OptionalState:
         What the filter divides the errors by.
     needs_matrix : bool
         Whether `preintegration` has to give the derivative by the gyro matrix.
+    effects : tuple of int
+        Of `hypotheses`, those that it is: not left out any more.
     """
 
     key: str
@@ -71,6 +89,7 @@ class OptionalState:
     unit = 1.0
     scale = 1e-5
     needs_matrix = False
+    effects: tuple[int, ...] = ()
 
     def error(self, values: Array, true: Array, C_sg: Array) -> Array:
         """Return the error (..., k) of values (..., k); C_sg (..., 3, 3) is the estimate's."""
@@ -127,16 +146,19 @@ class OptionalState:
         """
         return None
 
-    def drawn(self, N: Array, noise: Array) -> Array | None:
-        """Return what the noise of the gyro adds to the score of the errors on average, (..., k).
-
-        None where the state does not go with the rate.
+    def drawn(self, N: Array, T: Array, moments: NoiseMoments, values: Array) -> Drawn | None:
+        """Return what the noise of the gyro adds; None where the state does not go with the rate.
 
         Parameters
         ----------
         N : (..., 3, 3) array
-        noise : (..., 2) array
-            See `hypotheses.drawn`.
+            q^2 A' S^-1 A of `noise_moments`.
+        T : (...) array
+            Length of the interval [s].
+        moments : NoiseMoments
+            Before the frame.
+        values : (..., k) array
+            Present values.
         """
         return None
 

@@ -14,10 +14,12 @@ alpha tau^2 / 2, 0.4 arcsec for 0.5 deg/s^2 and 20 ms. The derivatives of omega_
 are neglected: each is the part omega tau, 1e-4 for 0.5 deg/s and 10 ms, of what the same state
 does over an interval.
 
-The noise n of that reading is in the turn up to the frame as well, so that on average it draws tau
-along, with ``E[n theta'] = -q^2`` (`hypotheses.drawn`): of a score ``-(A omega_s)' S^-1 z`` by ::
+The rate is one in which noise does not show (`Filter`), most often the mean over the interval
+since the frame before. What noise n it has left is in the turn up to the frame as well, and in the
+prediction by ``-n tau``. On average it adds b to the score ``-(A omega_s)' S^-1 z``, and
+information that is none (`noise_moments`) ::
 
-    b = q^2 tr(A' S^-1 A)                                                              (A.6)
+    b = -q^2 tr(A' S^-1 A U) + I tau,      I = q^2 tr(A' S^-1 A G)                     (A.6)
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ import numpy as np
 
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
-from starcal_ros.filter.optional_state import Looked, OptionalState
+from starcal_ros.filter.hypotheses import TIME
+from starcal_ros.filter.noise_moments import NoiseMoments
+from starcal_ros.filter.optional_state import Drawn, Looked, OptionalState
 
 
 class TimeOffset(OptionalState):
@@ -34,12 +38,15 @@ class TimeOffset(OptionalState):
 
     key = 'time_offset_sigma_s'
     names = ('tau_s',)
+    effects = (TIME,)
 
     def looked(self, values: Array, C_sg: Array, rate_g: Array) -> Looked:
         """Return how far the star tracker turns in tau, and its rate (A.4)."""
         omega_s = (C_sg @ rate_g[..., None])[..., 0]
         return Looked(rotation.exp(-values * omega_s), -omega_s[..., None])
 
-    def drawn(self, N: Array, noise: Array) -> Array:
-        """Return b of (A.6)."""
-        return noise[..., 0, None] * np.trace(N, axis1=-2, axis2=-1)[..., None]
+    def drawn(self, N: Array, T: Array, moments: NoiseMoments, values: Array) -> Drawn:
+        """Return b and I of (A.6)."""
+        along, none = (np.trace(N @ moment, axis1=-2, axis2=-1)[..., None]
+                       for moment in (moments.turned, moments.noise))
+        return Drawn(none * values - along, none)

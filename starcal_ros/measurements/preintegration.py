@@ -59,6 +59,10 @@ class Preintegrated(NamedTuple):
         needs it.
     share : (...) array
         Part of what that reading covers which lies before the end.
+    covered : (...) array
+        How long a time it covers [s].
+    mean : (..., 3) array
+        The mean reading over the interval, bias included [rad/s].
     bias : (..., 3) array, optional
         Reference bias [rad/s]; None for the one that is believed.
     gain : (..., 3, 3) array
@@ -73,6 +77,8 @@ class Preintegrated(NamedTuple):
     gap_turn: Array
     reading: Array = np.zeros(3)
     share: Array = np.ones(())
+    covered: Array = np.ones(())
+    mean: Array = np.zeros(3)
     bias: Array | None = None
     gain: Array = np.eye(3)
     path: Array = np.zeros(())
@@ -183,9 +189,17 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
     return Preintegrated(Delta, J, np.diff(cuts_ns) * NS,
                          np.bincount(interval, pieces.gap_turn, n).astype(np.float64),
                          gyro.rate[last], np.maximum(share, 0.0),
+                         np.asarray(covered_ns * NS, np.float64),
+                         _means(pieces, interval, np.diff(cuts_ns) * NS),
                          np.broadcast_to(bias, (n, 3)), np.broadcast_to(gain, (n, 3, 3)),
                          np.bincount(interval, np.linalg.norm(theta, axis=-1), n).astype(
                              np.float64))
+
+
+def _means(pieces: Pieces, interval: Ints, duration: Array) -> Array:
+    """Return the mean rate over each interval, (n, 3); pieces are of the `interval`-th."""
+    turns = [np.bincount(interval, axis * pieces.dt, len(duration)) for axis in pieces.rate.T]
+    return np.stack(turns, axis=-1) / np.maximum(duration, NS)[:, None]
 
 
 def _covered_ns(stamps: Ints, period_ns: float) -> Ints:

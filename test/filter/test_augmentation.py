@@ -322,13 +322,14 @@ def test_frame_with_an_offset_is_predicted_as_the_sky_of_t_plus_tau():
     tau = nominal.augmented[9]
     G = np.linalg.inv(np.eye(3) + nominal.augmented[:9].reshape(3, 3))
     omega_g = G @ (nominal.reading - nominal.bias)
+    nominal = replace(nominal, steady=omega_g)
     later = replace(nominal, C_gi=rotation.exp(-omega_g * tau) @ nominal.C_gi,
                     augmented=np.append(nominal.augmented[:9], 0.0))
     u_i = places(nominal)
     found, expected = (FILTER.predict_centroids(values, u_i)[0] for values in (nominal, later))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
     assert np.abs(found - FILTER.predict_centroids(
-        replace(nominal, reading=nominal.bias), u_i)[0]).max() > 0.01       # 1e-5 rad: 0.04 px
+        replace(nominal, steady=np.zeros(3)), u_i)[0]).max() > 0.01       # 1e-5 rad: 0.04 px
 
 
 @pytest.mark.parametrize('state', [0, 1, 2, *range(9, 26)], ids=lambda k: NAMES[k])
@@ -348,14 +349,13 @@ def test_measurement_matrix_agrees_with_central_differences(state):
 
 
 def test_batch_of_three_runs_equals_three_single_runs():
-    nominal = some_values(ppm=500.0, batch=(3,))
+    one_by_one = [some_values(seed=k, ppm=500.0) for k in range(3)]
+    nominal = replace(Nominal.stacked(one_by_one), by_noise=np.zeros((3, 10)))
     start = Belief(nominal, np.zeros((3, 26)), 0.1 * some_root((3,)))
     turns = [interval(turning(seed)) for seed in range(3)]
 
     def one(k):
-        values = replace(nominal, **{name: part[k] for name, part in vars(nominal).items()
-                                     if isinstance(part, np.ndarray)})
-        return Belief(values, start.error[k], start.root[k])
+        return Belief(nominal.of_run(k), start.error[k], start.root[k])
 
     u_i = np.stack([places(one(k).nominal) for k in range(3)])
     uv, _, _ = FILTER.predict_centroids(nominal, u_i)

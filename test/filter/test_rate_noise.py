@@ -18,6 +18,7 @@ from starcal_ros.core.kalman import Evidence
 from starcal_ros.evaluation.batch import nominal
 from starcal_ros.filter import hypotheses
 from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.noise_moments import NoiseMoments
 from starcal_ros.filter.states import EPSILON, N_STATES, SCALE, THETA
 from starcal_ros.measurements.preintegration import preintegrate
 from starcal_ros.measurements.samples import GyroSamples
@@ -28,6 +29,7 @@ Q, T = 1e-5, 0.5                        # angular random walk [rad/sqrt(s)], int
 RATE = np.array([0.02, -0.01, 0.03])
 C_SG = rotation.exp(np.array([0.3, -1.2, 0.8]))
 GYRO_MATRIX = {'estimator.augment.gyro_matrix_sigma_ppm': 1000.0}
+FIRST = NoiseMoments(*np.zeros((2, 3, 3))).before(np.array(True), np.array(T))
 TIME_OFFSET = {'estimator.augment.time_offset_sigma_s': 0.005}
 
 
@@ -86,7 +88,8 @@ def test_the_scores_of_optional_states_have_the_mean_that_is_taken_off(optional)
         moved, _ = slopes(RATE + 1e-4 * axis)
         # A reading that is too large is a bias that is too small.
         mean += (moved - rest).T / 1e-4 @ N @ (-by_bias @ axis) * Q**2 / T
-    told = filter_.augmentation.drawn(N, np.array([Q**2, Q**2 * T]))
+    told = filter_.augmentation.drawn(
+        Q**2 * N, np.array(T), FIRST, np.zeros(rest.shape[1])).score
     assert not told[:N_STATES].any()
     np.testing.assert_allclose(told[N_STATES:] / filter_.scale[N_STATES:], mean,
                                atol=0.02 * np.abs(mean).max())      # the turn over the interval
@@ -124,3 +127,28 @@ def test_frames_that_a_gyro_hardly_predicts_are_judged_all_the_same(truth, told)
     statistics = {each.name for each in calibrator.consistency.statistics()}
     assert 'NIS of the rest' in statistics and 'turns along the rate' in statistics
     assert told in failed(calibrator) if told else failed(calibrator) == set()
+
+
+def test_a_time_offset_that_only_noise_would_tell_is_said_to_be_so():
+    """Slow turns, frames ten times a second: an EKF would hold the offset near zero, and be sure.
+
+    With frames half as often, and gyros a tenth as noisy, stars tell it.
+    """
+    run = TAN2018.replace({
+        'simulation.duration_s': 300.0, 'motion.rate_deg_s': 0.15, 'gyro.rate_hz': 50.0,
+        'star_tracker.rate_hz': 10.0, 'gyro.arw_deg_sqrt_h': 0.15, **TIME_OFFSET,
+        'truth.star_tracker.time_offset_s': 0.005})
+    name = 'noise of the gyro in the optional states'
+    assert name in failed(calibrated(run))
+    told = run.replace({'star_tracker.rate_hz': 5.0, 'gyro.arw_deg_sqrt_h': 0.01})
+    calibrator = calibrated(told)
+    assert failed(calibrator) == set()
+    assert name in {each.name for each in calibrator.consistency.statistics()}
+    true = nominal(Truth.from_scenario(told), calibrator.stamp_ns, calibrator.filter.augmentation)
+    assert calibrator.belief.nees(true) < 50.0
+
+
+def test_an_optional_state_beyond_its_initial_sigma_contradicts_it():
+    run = TAN2018.replace({'simulation.duration_s': 300.0, **TIME_OFFSET})
+    late = run.replace({'truth.star_tracker.time_offset_s': 0.04})
+    assert 'optional states in their initial sigmas' in failed(calibrated(run, late))
