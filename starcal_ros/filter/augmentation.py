@@ -18,9 +18,9 @@ import numpy as np
 from starcal_ros.config.estimator import AugmentConfig
 from starcal_ros.core.arrays import Array
 from starcal_ros.filter.gyro_matrix import GyroMatrix
-from starcal_ros.filter.noise_moments import NoiseMoments
 from starcal_ros.filter.optional_state import Drawn, OptionalState
 from starcal_ros.filter.pixel_phase import PixelPhase
+from starcal_ros.filter.rate_noise import NoiseMoments
 from starcal_ros.filter.states import N_STATES, SCALE
 from starcal_ros.filter.time_offset import TimeOffset
 

@@ -72,8 +72,8 @@ from starcal_ros.filter import arithmetic, reference
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.curvature import Curvature
-from starcal_ros.filter.noise_moments import NoiseMoments
 from starcal_ros.filter.optional_state import OptionalState
+from starcal_ros.filter.rate_noise import NoiseMoments, steady
 from starcal_ros.filter.states import CALIBRATED, N_STATES, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
@@ -89,8 +89,6 @@ LARGEST_CORRECTION = 1e-4
 square leaves out is 5e-9 rad, 0.001 arcsec."""
 MOST_BY_NOISE = 0.5
 """Part of what is known of an optional state that noise of the gyro feigned, at most."""
-
-_BEYOND = 4.0           # sigmas of an axis that noise does not reach: 1e-3 of the time
 
 
 class Update(NamedTuple):
@@ -284,20 +282,16 @@ class Filter:
         return Belief(nominal.at(C_gi, gyro.reading, self._steady(belief, gyro)), error, root), Phi
 
     def _steady(self, belief: Belief, gyro: Preintegrated) -> Array:
-        """Return the rate of g at the end of an interval without what may be noise, (..., 3).
+        """Return the rate of g at the end of an interval, for states that go with it, (..., 3).
 
-        The mean over the interval where it is beyond noise, and the last reading in its place
-        where it differs by more than noise does: a turn begins, or an acceleration. None where
-        noise has told more of a state than stars have: that would be seen in it for good.
+        None where noise has told more of one than stars have: it would be seen in it for good.
         """
         nominal = belief.nominal
         if not self.augmentation.draws:
             return nominal.steady
         told = np.all(belief.told_by_noise < MOST_BY_NOISE, axis=-1, keepdims=True)
-        gain, q2 = nominal.augmentation.gain(nominal.augmented), self.walk**2
-        return np.where(told, _beyond(_times(gain, gyro.mean - nominal.bias),
-                                      q2 / np.maximum(gyro.duration, 1e-9))
-                        + _beyond(_times(gain, gyro.reading - gyro.mean), q2 / gyro.covered), 0.0)
+        return np.where(told, steady(
+            gyro, nominal.bias, nominal.augmentation.gain(nominal.augmented), self.walk), 0.0)
 
     def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
         """Return the predicted centroids and their derivatives by the states (T18 Eq. 24).
@@ -425,7 +419,7 @@ class Filter:
                  ) -> tuple[Belief, Array]:
         """Take off an update what the noise of the gyro adds for states that go with the rate.
 
-        Of ``P H' S^-1 z`` that part has the mean P b, b of `noise_moments`. Of what the covariance
+        Of ``P H' S^-1 z`` that part has the mean P b, b of `rate_noise`. Of what the covariance
         seems to lose by it nothing is known, and the score scatters by as much.
         """
         nominal, q2 = before.nominal, self.walk**2
@@ -477,13 +471,6 @@ class Filter:
             np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0)), nominal.intrinsics,
             belief.root[..., reference.SEEN, :] * SCALE[reference.SEEN, None],
             np.where(usable, stars.sigma, np.inf))
-
-
-def _beyond(rate: Array, variance: Array) -> Array:
-    """Return what of a rate (..., 3) is beyond noise of a variance (...) of each axis."""
-    square = np.sum(rate**2, axis=-1)
-    part = 1.0 - _BEYOND**2 * variance / np.maximum(square, 1e-300)
-    return rate * np.maximum(part, 0.0)[..., None]
 
 
 def _times(A: Array, x: Array) -> Array:

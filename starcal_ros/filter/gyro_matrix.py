@@ -41,7 +41,7 @@ the present G. To first order in M it would be wrong by M^2 of the whole turn: 2
 30 deg for M of 5000 ppm.
 
 X turns theta by ``X omega_s T`` in an interval T, of which the noise of the gyro is a part; on
-average it adds b to the score of X, row by row (`noise_moments`) ::
+average it adds b to the score of X, row by row (`rate_noise`) ::
 
     b = -q^2 T A' S^-1 A                                                               (A.7)
 
@@ -54,8 +54,8 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array
 from starcal_ros.filter.hypotheses import MISALIGNMENTS, SCALE_FACTORS
-from starcal_ros.filter.noise_moments import NoiseMoments
 from starcal_ros.filter.optional_state import Drawn, OptionalState, Turned
+from starcal_ros.filter.rate_noise import NoiseMoments
 
 PPM = 1e-6
 

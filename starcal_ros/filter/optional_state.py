@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.core.arrays import Array
-from starcal_ros.filter.noise_moments import NoiseMoments
+from starcal_ros.filter.rate_noise import NoiseMoments
 
 
 class Turned(NamedTuple):
@@ -152,7 +152,7 @@ class OptionalState:
         Parameters
         ----------
         N : (..., 3, 3) array
-            q^2 A' S^-1 A of `noise_moments`.
+            q^2 A' S^-1 A of `rate_noise`.
         T : (...) array
             Length of the interval [s].
         moments : NoiseMoments

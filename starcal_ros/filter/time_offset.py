@@ -17,7 +17,7 @@ does over an interval.
 The rate is one in which noise does not show (`Filter`), most often the mean over the interval
 since the frame before. What noise n it has left is in the turn up to the frame as well, and in the
 prediction by ``-n tau``. On average it adds b to the score ``-(A omega_s)' S^-1 z``, and
-information that is none (`noise_moments`) ::
+information that is none (`rate_noise`) ::
 
     b = -q^2 tr(A' S^-1 A U) + I tau,      I = q^2 tr(A' S^-1 A G)                     (A.6)
 """
@@ -29,8 +29,8 @@ import numpy as np
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.filter.hypotheses import TIME
-from starcal_ros.filter.noise_moments import NoiseMoments
 from starcal_ros.filter.optional_state import Drawn, Looked, OptionalState
+from starcal_ros.filter.rate_noise import NoiseMoments
 
 
 class TimeOffset(OptionalState):

@@ -18,7 +18,7 @@ from starcal_ros.core.kalman import Evidence
 from starcal_ros.evaluation.batch import nominal
 from starcal_ros.filter import hypotheses
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.noise_moments import NoiseMoments
+from starcal_ros.filter.rate_noise import NoiseMoments
 from starcal_ros.filter.states import EPSILON, N_STATES, SCALE, THETA
 from starcal_ros.measurements.preintegration import preintegrate
 from starcal_ros.measurements.samples import GyroSamples

@@ -1,11 +1,12 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How the noise of the gyro that tells a rate goes together with the errors of the attitude.
+"""The rate at a frame without what may be noise of the gyro, and what the noise left in it does.
 
 What goes with the rate, a time offset or a scale factor, is regressed on what the gyro read. Its
 noise n is in the turn up to the frame as well, so that the score of such an effect has a mean, and
 information in it is feigned (errors in the variables): for a coarse gyro the first draws the
-estimate away and the second holds it where it is, by more sigmas the longer the run.
+estimate away and the second holds it where it is, by more sigmas the longer the run. `steady`
+gives a rate in which noise hardly shows; what is left of it `NoiseMoments` follows.
 
 Model
 -----
@@ -30,6 +31,9 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.core.arrays import Array, Mask
+from starcal_ros.measurements.preintegration import Preintegrated
+
+_BEYOND = 4.0           # sigmas of an axis that noise does not reach: 1e-3 of the time
 
 
 class NoiseMoments(NamedTuple):
@@ -58,3 +62,33 @@ class NoiseMoments(NamedTuple):
         fresh = before.noise - self.noise
         return NoiseMoments((self.turned - K @ before.turned) @ F_T,
                             F @ self.noise @ F_T + K @ fresh @ np.swapaxes(K, -1, -2))
+
+
+def steady(gyro: Preintegrated, bias: Array, gain: Array, walk: float) -> Array:
+    """Return the rate of g at the end of an interval, (..., 3) [rad/s].
+
+    It is the mean over the interval where that is beyond noise, and the last reading in its place
+    where it differs by more than noise does: a turn begins, or an acceleration. Else it is zero.
+
+    Parameters
+    ----------
+    gyro : Preintegrated
+    bias : (..., 3) array
+        Present bias [rad/s].
+    gain : (..., 3, 3) array
+        The rate of g is ``gain @ (reading - bias)``.
+    walk : float
+        Angular random walk [rad/sqrt(s)].
+    """
+    variance = walk**2 / np.maximum(gyro.duration, 1e-9), walk**2 / gyro.covered
+    parts = gyro.mean - bias, gyro.reading - gyro.mean
+    mean, beside = (_beyond((gain @ part[..., None])[..., 0], noise)
+                    for part, noise in zip(parts, variance))
+    return mean + beside
+
+
+def _beyond(rate: Array, variance: Array) -> Array:
+    """Return what of a rate (..., 3) is beyond noise of a variance (...) of each axis."""
+    square = np.sum(rate**2, axis=-1)
+    part = 1.0 - _BEYOND**2 * variance / np.maximum(square, 1e-300)
+    return rate * np.maximum(part, 0.0)[..., None]
