@@ -12,7 +12,7 @@ import numpy as np
 
 from starcal_ros.checks.finding import Finding
 from starcal_ros.core.arrays import Ints
-from starcal_ros.core.units import NS
+from starcal_ros.core.units import ARCSEC, NS
 from starcal_ros.core.utc import utc_text
 from starcal_ros.measurements.samples import Frames, GyroSamples
 
@@ -47,7 +47,10 @@ def of_stamps(gyro: GyroSamples, frames: Frames, scenario: Scenario,
                         'driver of the gyro')
     yield from of_topic('frames', frames.stamp_ns, 'star_tracker.rate_hz',
                         scenario.star_tracker.rate_hz, 'driver of the star tracker')
-    yield from of_clocks(gyro.stamp_ns, frames.stamp_ns, logged)
+    camera = scenario.camera
+    yield from of_clocks(
+        gyro.stamp_ns, frames.stamp_ns, logged, scenario.star_tracker.centroid_sigma_px
+        * camera.pixel_pitch_mm / camera.focal_length_mm / ARCSEC)
 
 
 def of_topic(what: str, stamp_ns: Ints, key: str | None, stated_hz: float, driver: str
@@ -103,9 +106,19 @@ def of_topic(what: str, stamp_ns: Ints, key: str | None, stated_hz: float, drive
                       f'{stated_hz:g}{then}', key, (rate,), (), 'Hz', {key: proposed})
 
 
-def of_clocks(gyro_ns: Ints, frames_ns: Ints, logged: LogTimes | None = None
-              ) -> Iterator[Finding]:
-    """Yield clocks that differ, and dates that can not be."""
+def of_clocks(gyro_ns: Ints, frames_ns: Ints, logged: LogTimes | None = None,
+              sigma_arcsec: float | None = None) -> Iterator[Finding]:
+    """Yield clocks that differ, and dates that can not be.
+
+    Parameters
+    ----------
+    gyro_ns, frames_ns : (n,) int64 arrays
+        The stamps.
+    logged : LogTimes, optional
+        Of the frames.
+    sigma_arcsec : float, optional
+        Of a centroid, to tell by it what a wrong date does.
+    """
     apart = False
     if len(gyro_ns) and len(frames_ns):
         first, last = int(frames_ns[0] - gyro_ns[0]), int(frames_ns[-1] - gyro_ns[-1])
@@ -125,7 +138,7 @@ def of_clocks(gyro_ns: Ints, frames_ns: Ints, logged: LogTimes | None = None
                           'driver of the gyro or of the star tracker', (shift,), (), 's',
                           driver={'gyro_stamps_plus_s': shift} if both else {})
     if len(frames_ns):
-        yield from _dates(gyro_ns, frames_ns, logged, apart)
+        yield from _dates(frames_ns, logged, apart, sigma_arcsec)
 
 
 class Difference(NamedTuple):
@@ -148,17 +161,19 @@ def known_difference(seconds: float) -> Difference | None:
     return None
 
 
-def _dates(gyro_ns: Ints, frames_ns: Ints, logged: LogTimes | None, apart: bool
-           ) -> Iterator[Finding]:
+def _dates(frames_ns: Ints, logged: LogTimes | None, apart: bool,
+           sigma_arcsec: float | None) -> Iterator[Finding]:
     first = int(frames_ns[0])
     if first < _FIRST_NS:
         when, shift = '', 0.0
         if logged is not None and logged.first_ns is not None and logged.first_ns > _FIRST_NS:
             shift = (logged.first_ns - first) * NS
             when = f', and were recorded at {utc_text(int(logged.first_ns))}'
+        wrong = 2.0 * _ABERRATION_ARCSEC
+        sigmas = f', {wrong / sigma_arcsec:.2g} sigmas of a centroid' if sigma_arcsec else ''
         yield Finding('no UTC', f'the frames are stamped {utc_text(first)}{when}: no UTC. Proper '
                       'motion and aberration are those of that date, of which aberration alone '
-                      f'displaces stars by up to {2 * _ABERRATION_ARCSEC:.0f} arcsec',
+                      f'displaces stars by up to {wrong:.0f} arcsec{sigmas}',
                       'driver of the star tracker', (shift,) if shift else (), (), 's',
                       driver={'both_stamps_plus_s': shift} if shift else {})
         return

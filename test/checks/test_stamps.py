@@ -71,6 +71,9 @@ def test_clocks_that_differ_are_told_and_those_that_overlap_are_not():
 def test_dates_that_no_camera_has_and_logs_of_a_time_zone():
     early, = of_clocks(STAMPS - BEGIN, FRAMES - BEGIN)
     assert early.kind == 'no UTC'
+    assert early.sentence.endswith('displaces stars by up to 41 arcsec')
+    by_sigma, = of_clocks(STAMPS - BEGIN, FRAMES - BEGIN, None, 2.61)       # T18's 0.05 px
+    assert by_sigma.sentence == f'{early.sentence}, 16 sigmas of a centroid'
     assert list(of_clocks(STAMPS, FRAMES, LogTimes(BEGIN + 10**9, None))) == []
     zone, = of_clocks(STAMPS, FRAMES, LogTimes(BEGIN + 7200 * 10**9, None))
     assert zone.kind == 'stamps and log' and '2 h' in zone.sentence
