@@ -21,6 +21,7 @@ import math
 
 from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core.units import DEG_PER_SQRT_HOUR
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.filter.model_tests import ModelTests
@@ -168,8 +169,13 @@ class ComingDown(Noise):
 def begin_value(scenario: Scenario, key: str) -> float:
     """Return what the search for a level begins about: the stated one where there is one.
 
-    A walk that is stated as none begins with one that matters: ten tolerances in an hour.
+    A walk that is stated as none begins with one that matters: ten tolerances in an hour, of the
+    gyros a turn by the sigma of a centroid from frame to frame.
     """
+    if key == GYRO:
+        tracker, camera = scenario.star_tracker, scenario.camera
+        sigma = tracker.centroid_sigma_px * camera.pixel_pitch_mm / camera.focal_length_mm
+        return stated(scenario, key) or sigma * math.sqrt(tracker.rate_hz) / DEG_PER_SQRT_HOUR
     kind = key.rpartition('.')[2].removesuffix('_sqrt_h')
     return stated(scenario, key) or 10.0 * float(getattr(scenario.estimator.tolerance, kind))
 

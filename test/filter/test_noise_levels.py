@@ -234,6 +234,13 @@ def test_what_a_single_pass_does_not_estimate_is_said():
         'starcal calibrate alone: live, the stated one holds']
 
 
+def test_a_level_that_is_stated_as_none_is_found():
+    scenario = stated(1.0, 0.0)
+    _, level = noise_search.Search(InMemory(*simulated(RUN)), scenario, (CENTROIDS, GYRO)).found()
+    assert abs(np.log(level.value / 0.01)) < 4.0 * level.spread < 1.0
+    assert Calibrator(scenario).noise.levels()[1].value > 0.01
+
+
 def test_without_it_a_wrong_level_is_inconsistent():
     assert 'NIS of the rest' in failed(calibrated(RUN, RUN.replace({
         'truth.star_tracker.centroid_sigma_px': 0.15})))
