@@ -84,6 +84,8 @@ class Parameter:
 
     def convert(self, key: str, value: Any) -> Any:
         """Return the value in its own type, lists as tuples; raise ConfigError otherwise."""
+        if type(value).__module__ == 'numpy':       # which config need not import
+            value = value.tolist()
         if self.is_array and isinstance(value, (list, tuple)):
             return tuple(self._scalar(key, item) for item in value)
         if self.is_array:
@@ -91,6 +93,8 @@ class Parameter:
         return self._scalar(key, value)
 
     def _scalar(self, key: str, value: Any) -> Any:
+        if type(value).__module__ == 'numpy':
+            value = value.tolist()
         if type(value) is not self.element:
             hint = f'; write {value}.0' if self.element is float and type(value) is int else ''
             raise ConfigError(f'{key}: got {value!r} ({type(value).__name__}), '

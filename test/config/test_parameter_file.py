@@ -129,6 +129,19 @@ def test_every_number_has_a_range_that_its_default_lies_in():
         parameter.check(key, parameter.default)
 
 
+def test_numbers_of_numpy_are_numbers(tan2018):
+    given = {'gyro.rate_hz': np.float64(200.0), 'simulation.seed': np.int64(3),
+             'gyro.bias_deg_h': np.array([1.0, 2.0, 3.0]), 'motion.angles_deg': [
+                 np.float64(value) for value in tan2018.motion.angles_deg]}
+    found = tan2018.replace(given)
+    assert type(found.gyro.rate_hz) is float and type(found.simulation.seed) is int
+    assert found.gyro.bias_deg_h == (1.0, 2.0, 3.0) and found == tan2018.replace({
+        'gyro.rate_hz': 200.0, 'simulation.seed': 3, 'gyro.bias_deg_h': (1.0, 2.0, 3.0)})
+    assert {type(value) for value in found.motion.angles_deg} == {float}
+    with pytest.raises(ConfigError, match='needs a int'):
+        tan2018.replace({'simulation.seed': np.float64(3.0)})
+
+
 def test_a_dotted_name_is_the_path_to_its_field(tan2018):
     for key, value in tan2018.flat().items():
         field = tan2018
