@@ -23,7 +23,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.distributions import chi2_sf
 from starcal_ros.evaluation.batch import nominal
-from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.offline import calibrate
 from starcal_ros.results.result import word
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
@@ -44,11 +44,8 @@ def main() -> None:
     for seed in range(options.first, options.first + options.runs):
         scenario = drawn(seed).replace({'simulation.duration_s': 60.0 * options.minutes})
         gyro, tracker = sensors.gyro(scenario), sensors.star_tracker(scenario)
-        calibrator = Calibrator(scenario)
-        calibrator.add_gyro(gyro.next(gyro.count))
-        calibrator.add_frames(tracker.next(tracker.count))
-        for _ in calibrator.process():
-            pass
+        calibrator, _ = calibrate(
+            gyro.next(gyro.count), tracker.next(tracker.count), scenario)
         assert calibrator.belief is not None
         true = nominal(Truth.from_scenario(scenario), calibrator.stamp_ns,
                        calibrator.filter.augmentation)

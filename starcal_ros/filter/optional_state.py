@@ -172,6 +172,6 @@ class OptionalState:
         C_sg : (..., 3, 3) array
             Mounting.
         rate_g : (..., 3) array
-            Rate of g at the frame's stamp, in g [rad/s].
+            Rate of g at the frame's stamp, in g, noise left out (`rate_noise.steady`) [rad/s].
         """
         return None

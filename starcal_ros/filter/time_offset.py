@@ -14,9 +14,9 @@ alpha tau^2 / 2, 0.4 arcsec for 0.5 deg/s^2 and 20 ms. The derivatives of omega_
 are neglected: each is the part omega tau, 1e-4 for 0.5 deg/s and 10 ms, of what the same state
 does over an interval.
 
-The rate is one in which noise does not show (`Filter`), most often the mean over the interval
-since the frame before. What noise n it has left is in the turn up to the frame as well, and in the
-prediction by ``-n tau``. On average it adds b to the score ``-(A omega_s)' S^-1 z``, and
+The rate is one in which noise does not show (`rate_noise.steady`), most often the mean over the
+interval since the frame before. What noise n it has left is in the turn up to the frame as well,
+and in the prediction by ``-n tau``. On average it adds b to the score ``-(A omega_s)' S^-1 z``, and
 information that is none (`rate_noise`) ::
 
     b = -q^2 tr(A' S^-1 A U) + I tau,      I = q^2 tr(A' S^-1 A G)                     (A.6)
