@@ -16,8 +16,8 @@ does over an interval.
 
 The rate is one in which noise does not show (`rate_noise.steady`), most often the mean over the
 interval since the frame before. What noise n it has left is in the turn up to the frame as well,
-and in the prediction by ``-n tau``. On average it adds b to the score ``-(A omega_s)' S^-1 z``, and
-information that is none (`rate_noise`) ::
+and in the prediction by ``-n tau``. On average it adds b to the score ``-(A omega_s)' S^-1 z``,
+and information that is none (`rate_noise`) ::
 
     b = -q^2 tr(A' S^-1 A U) + I tau,      I = q^2 tr(A' S^-1 A G)                     (A.6)
 """
