@@ -31,7 +31,7 @@ from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.frame_innovation import FrameInnovation
-from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS
+from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, LARGEST_STEPS, STEP_NUMBERS
 from starcal_ros.filter.innovation_tests import (MARGIN, NOISE_TESTS, SCATTER, WINDOW,
                                                  InnovationTests, cell_name, gated_nis)
 from starcal_ros.filter.likelihood import Likelihood
@@ -53,8 +53,6 @@ HARM = 0.5
 
 SELDOM_NS = 3600 * 10**9
 """Time after a change that was answered in which there is no second answer."""
-
-_STEP_LARGEST = 1e6
 
 
 class Effect(NamedTuple):
@@ -149,7 +147,7 @@ class ModelTests:
         """Begin the tests, as at the first frame and after what was answered."""
         self._tests = {run: InnovationTests(self._gated) for run in np.ndindex(*self._batch)}
         self._responses = Responses(self._batch, self._n, np.concatenate((
-            hypotheses.largest(), np.full((N_EFFECTS, WIDTH), _STEP_LARGEST))))
+            hypotheses.largest(), np.tile(LARGEST_STEPS, (N_EFFECTS // len(CHANGING), 1)))))
         self._changes = Changes()
         self._root = np.broadcast_to(np.eye(self._n), (*self._batch, self._n, self._n))
         self._since: dict[str, int] = {}

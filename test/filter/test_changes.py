@@ -45,6 +45,16 @@ def test_a_step_is_dated_named_and_sized_and_the_errors_after_it_are_honest(
     assert any(change.sentence in text and 'opened' in text for text in notices)
 
 
+def test_a_step_that_large_turns_would_explain_as_well_is_answered_by_a_small_one():
+    """In a slow turn the gyros' mounting, turned by 200 degrees, does what a bias does."""
+    judged, changes = steps_of(wrong_models.bias_step(1.0), seed=2, scenario=TAN2018.replace(
+        {'simulation.duration_s': 3600.0}))
+    change, = changes
+    assert CHANGING[0] in change.what
+    assert all(np.abs(size) <= 3600.0 for size in change.size)
+    assert judged.word == 'converged' and np.abs(judged.error).max() < 4.5
+
+
 def test_a_slow_change_is_told_from_a_step_and_its_state_walks_from_then_on():
     def spoil(gyro, frames, truth):
         hours = (gyro.stamp_ns - gyro.stamp_ns[0]) * 1e-9 / 3600.0
