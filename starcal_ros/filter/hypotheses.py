@@ -62,9 +62,9 @@ LARGEST_STEPS = np.array([[1e4, 1e4, 1e4], [3600.0, 3600.0, 3600.0], [3600.0, 36
                           [100.0, 100.0, 1000.0]])
 """Largest step of each of `CHANGING` that is thought of, in units of `STEP_NUMBERS`.
 
-In a slow turn a step of the bias is one of the gyros' mounting by right angles as well: such are
-left out of what is told, or they would be its rivals and be answered, far from where errors are
-linear.
+In a slow turn the innovations of a step of the bias are those of gyros that are turned by a right
+angle as well. Without a bound that turn is fitted, where errors are far from linear, and opens the
+covariance by directions that are none.
 """
 HYPOTHESES = (
     Hypothesis('time offset of the frames', ('ms',), 1e3),
