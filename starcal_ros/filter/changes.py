@@ -44,6 +44,9 @@ SLOTS = 12
 TOLD = 12.0
 """Difference in twice the logarithm of the likelihood by which one effect is told from another."""
 
+_RIVAL = 0.5            # of the best gain, for another turn to be a rival after a loss
+_TURNS = range(3)       # of CHANGING, all but the camera
+
 N_EFFECTS = len(CHANGING) * SLOTS
 
 _FIRST = len(HYPOTHESES)        # effect of the first candidate
@@ -121,6 +124,7 @@ class Changes:
     def __init__(self) -> None:
         self._starts: list[int] = []            # stamp of each slot's beginning
         self._clean: list[bool] = []            # whether nothing spoke against the model then
+        self._afresh: list[bool] = []           # whether the attitude was found afresh since
         self._frames = self.begun = 0
         self._since_ns = 0
 
@@ -142,6 +146,10 @@ class Changes:
             self._since_ns = int(stamp_ns[0])
         self._frames += len(stamp_ns)
 
+    def found(self) -> None:
+        """Know that the attitude was found afresh."""
+        self._afresh = [True] * len(self._starts)
+
     def begin(self, stamp_ns: int, clean: bool, responses: Responses) -> None:
         """Let a candidate begin.
 
@@ -155,10 +163,11 @@ class Changes:
         slot = len(self._starts)
         if slot == SLOTS:
             slot = self._dispensable(stamp_ns)
-            self._starts[slot], self._clean[slot] = stamp_ns, clean
+            self._starts[slot], self._clean[slot], self._afresh[slot] = stamp_ns, clean, False
         else:
             self._starts.append(stamp_ns)
             self._clean.append(clean)
+            self._afresh.append(False)
         self.begun += 1
         n = responses.E.shape[-2]
         for k, step in enumerate(STEPS):
@@ -212,10 +221,14 @@ class Changes:
         for other in beside:
             other_date = self._moved(other * len(CHANGING) + state, fit, responses)
             columns.append(0.5 * (moved - other_date)[:, None])
+        # Where a turn was so large that the attitude was lost, the responses, of first order,
+        # fit the better the less they turn: the true one need not gain most.
+        share = _RIVAL if self._afresh[slot] else 1.0
         what = [CHANGING[state]]
         for other in range(len(CHANGING)):
             rival = slot * len(CHANGING) + other
-            if other != state and gain[rival] > gain[best] - TOLD:
+            least = (share if other in _TURNS else 1.0) * gain[best]
+            if other != state and gain[rival] > least - TOLD:
                 what.append(CHANGING[other])
                 columns += [responses.of(_FIRST + rival) @ fit.root[_FIRST + rival],
                             (moved - self._moved(rival, fit, responses))[:, None]]

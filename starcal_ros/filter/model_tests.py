@@ -178,6 +178,7 @@ class ModelTests:
     def found(self) -> None:
         """Know that the attitude was found afresh."""
         self._responses.forget(THETA)
+        self._changes.found()
         self._afresh = True
         if self.scores is not None:
             self.scores.found()

@@ -55,6 +55,18 @@ def test_a_step_that_large_turns_would_explain_as_well_is_answered_by_a_small_on
     assert judged.word == 'converged' and np.abs(judged.error).max() < 4.5
 
 
+@pytest.mark.parametrize('turned, names', [
+    (wrong_models.tracker_turned, CHANGING[1]), (wrong_models.gyros_turned, CHANGING[2])],
+    ids=['star tracker', 'gyros'])
+def test_a_turn_that_loses_the_attitude_is_among_what_is_named(turned, names):
+    """Two degrees fit a step of the bias better, to first order."""
+    judged, changes = steps_of(turned(7200.0), scenario=TAN2018.replace(
+        {'simulation.duration_s': 3600.0}))
+    change, = changes
+    assert names in change.what and judged.word == 'inconsistent'
+    assert np.abs(judged.error).max() < 10.0
+
+
 def test_a_slow_change_is_told_from_a_step_and_its_state_walks_from_then_on():
     def spoil(gyro, frames, truth):
         hours = (gyro.stamp_ns - gyro.stamp_ns[0]) * 1e-9 / 3600.0
