@@ -43,7 +43,7 @@ GROUP_BYTES = 4 << 20
 _FORGET_BYTES = 32 << 20    # of the file, that are gone through before their memory is given back
 _COMPRESSIONS = (b'\4\0\0\0zstd', b'\3\0\0\0lz4')
 _BEFORE_COMPRESSION = RECORD.size + 28      # bytes of a chunk
-GARBLED = (struct.error, ValueError, McapError)
+GARBLED = (struct.error, ValueError, OverflowError, McapError)
 """What parsing a damaged record may raise."""
 
 

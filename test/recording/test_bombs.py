@@ -8,16 +8,19 @@ import zlib
 
 import lz4.frame
 from mcap.opcode import Opcode
+import mcap.writer
 import numpy as np
 import pytest
 import zstandard
 
 from starcal_ros.files.limits import CHUNK
 from starcal_ros.messages.cdr import RecordError
-from starcal_ros.recording.mcap_chunk import MESSAGE_HEAD, locate, scan
+from starcal_ros.recording.mcap_check import check_file
+from starcal_ros.recording.mcap_chunk import MESSAGE_HEAD, RECORD, locate, scan
 from starcal_ros.recording.mcap_reader import MAGIC
 from starcal_ros.recording.reader import read, summary
 
+EMPTY = 'std_msgs/msg/Empty'
 LARGE = 60_000_000
 PEAK = 12_000_000
 
@@ -120,3 +123,30 @@ def test_a_checksum_does_not_help_a_bomb(tmp_path, monkeypatch):
     path = tmp_path / 'bomb.mcap'
     path.write_bytes(MAGIC + struct.pack('<BQ', Opcode.CHUNK, len(content)) + content)
     assert 'zstd data of 3 MB, at most 2 are read' in ' '.join(summary(path).warnings)
+
+
+def test_a_length_beyond_all_memory_is_garbled_in_whatever_record_it_stands(tmp_path):
+    path = tmp_path / 'run.mcap'
+    with path.open('wb') as stream:
+        writer = mcap.writer.Writer(stream)
+        writer.start('ros2', 'test')
+        channel = writer.register_channel('a', 'cdr', writer.register_schema(EMPTY, '', b''))
+        writer.add_message(channel, 1, bytes(5), 1)
+        writer.add_attachment(0, 0, 'a.txt', 'text/plain', b'text')
+        writer.add_metadata('about', {'this': 'file'})
+        writer.finish()
+    data, at, places = path.read_bytes(), len(MAGIC), []
+    while at < len(data) - len(MAGIC):
+        opcode, length = RECORD.unpack_from(data, at)
+        at += RECORD.size
+        places += range(at, at + length - 7)
+        if opcode == Opcode.ATTACHMENT:         # without a checksum, which would tell
+            data = data[:at + length - 4] + bytes(4) + data[at + length:]
+        at += length
+    for place in places:
+        path.write_bytes(data[:place] + b'\xff' * 8 + data[place + 8:])
+        for reads in (check_file, summary, read):
+            try:
+                reads(path)
+            except RecordError as error:
+                assert str(error)
