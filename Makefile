@@ -3,7 +3,7 @@
 
 # Everything a fresh machine needs: each target first makes .venv, with ROS 2 in it, from PyPI.
 
-.PHONY: help demo test lint docs audit reliability clean browser
+.PHONY: help demo test test-slow lint docs audit reliability clean browser
 .DEFAULT_GOAL := help
 
 # The ROS 2 in .venv must not meet one that the shell has sourced.
@@ -14,7 +14,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help:
 	@echo 'make demo   simulate a star tracker and its gyros, calibrate them; results in demo/'
-	@echo 'make test   the whole test suite, style included'
+	@echo 'make test   the test suite, style included, but for what takes long'
+	@echo 'make test-slow   the rest: statistics of many runs, whole studies, all pages of docs'
 	@echo 'make lint   style, types and the direction of imports only'
 	@echo 'make docs   the documentation, from build/docs/index.html on'
 	@echo 'make audit  known vulnerabilities of what is installed, by pip-audit'
@@ -27,9 +28,12 @@ demo: .venv/installed
 
 # On two cores, each file of tests on one of them, with one thread of its own; then those of the
 # nodes, of which a test starts up to six, with the machine to themselves.
-test: .venv/installed browser
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -n 2 --dist loadfile --ignore test/nodes --durations 30 test
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --durations 10 test/nodes
+test: MARKED := not slow
+test-slow: MARKED := slow
+test test-slow: .venv/installed browser
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m '$(MARKED)' -n 2 --dist loadfile \
+	    --ignore test/nodes --durations 30 test
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m '$(MARKED)' --durations 10 test/nodes
 
 # A browser that the pages are tested in; without one those tests are skipped.
 browser:

@@ -60,6 +60,7 @@ def built(tmp_path_factory):
     return folder / 'html'
 
 
+@pytest.mark.slow
 def test_each_page_and_each_module_has_its_page(built):
     modules = ('.'.join(path.relative_to(TOP).with_suffix('').parts)
                for path in (TOP / 'starcal_ros').rglob('*.py')
@@ -69,6 +70,7 @@ def test_each_page_and_each_module_has_its_page(built):
         assert built.joinpath(f'{name}.html').is_file(), name
 
 
+@pytest.mark.slow
 def test_equations_are_mathml_and_nothing_is_loaded_from_the_network(built):
     page = (built / 'models.html').read_text()
     assert page.count('<math') > 20 and '\\frac' not in page

@@ -146,6 +146,7 @@ def test_focal_lengths_of_frames_are_the_least_squares_fit():
     assert found.freedom == 2 * len(spots.frame) - 4 * n - 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('named', [True, False])
 def test_covariance_says_the_truth(named):
     """NEES of independent runs lies in its 99.9 % interval."""

@@ -62,6 +62,7 @@ def noisy(frames, seed, sigma=SIGMA_PX):
     return replace(frames, uv_raster=frames.uv_raster + noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('equations, count', [
     ('SCWC', 3), ('SCOC', 3), ('SCOC', 5), ('SCOC', 7), ('TCWC', 7), ('TCOC', 7)])
 def test_covariance_is_that_of_the_errors(noiseless, equations, count):

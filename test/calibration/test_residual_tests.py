@@ -63,6 +63,7 @@ def failed(found):
     return {each.name for each in found.failed}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('still', [False, True])
 def test_patterns_have_the_distribution_that_is_stated_where_the_model_is_right(still):
     """At rest, too, where each star stays at its place in the pixel."""

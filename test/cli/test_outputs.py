@@ -184,6 +184,7 @@ def test_a_full_disk_ends_a_simulation_in_words_and_leaves_nothing(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('option, name, kilobytes', [
     ('--out', 'r.json', 1), ('--report', 'r.html', 64), ('--figure', 'r.png', 64),
     ('--export', 'e', 0)])

@@ -68,6 +68,7 @@ def test_info_imports_what_reads_recordings(tmp_path):
         'lz4', 'mcap', 'numpy', 'rich', 'yaml', 'zstandard'}
 
 
+@pytest.mark.slow
 def test_nodes_import_nothing_that_they_do_not_run():
     """And scipy when they first need it, which those that simulate and play never do."""
     pytest.importorskip('rclpy')

@@ -248,6 +248,7 @@ def test_filter_is_consistent_and_at_the_bound(runs, bound):
     assert objections(runs, bound) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arw', [0.001, 0.0])
 def test_filter_is_consistent_where_the_bias_walks_as_it_is_told(arw):
     """In the run by 0.4 deg/h, eight sigmas: each is judged by its own bias at the end."""
@@ -284,6 +285,7 @@ def augmented():
     return scenario, run_batch(scenario, range(1001, 1021))
 
 
+@pytest.mark.slow
 def test_filter_with_all_optional_states_is_consistent(augmented):
     """26 degrees of freedom, of which what nothing shows, a turn of g, is not drawn."""
     scenario, runs = augmented
@@ -298,6 +300,7 @@ def test_filter_with_all_optional_states_is_consistent(augmented):
     assert ((ratio > low) & (ratio < high))[~unseen].all()
 
 
+@pytest.mark.slow
 def test_filter_is_consistent_in_runs_whose_gyro_matrix_is_drawn():
     """What is not seen is then drawn as well, and NEES has its 26 degrees of freedom."""
     rng, nees = np.random.default_rng(7), []
@@ -384,6 +387,7 @@ def wrong_transition(monkeypatch):
         self, belief, gyro._replace(J=1.2 * gyro.J)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('wrong', [
     wrong_Q, wrong_R, wrong_transition, *(wrong_slope(k) for k in (9, 11, 12, 13, 14))],
     ids=['Q', 'R', 'transition', 'H u0', 'H f', 'H k1', 'H k2', 'H p1'])

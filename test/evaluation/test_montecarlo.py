@@ -156,6 +156,7 @@ def test_wrong_sweep_is_named(sweep, culprit, capsys):
     assert culprit in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_same_study_on_a_dask_cluster_gives_the_same_numbers(results, tmp_path):
     distributed = pytest.importorskip('distributed')
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,

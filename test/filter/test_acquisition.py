@@ -137,6 +137,7 @@ def test_stars_with_wrong_numbers_are_left_out_and_the_attitude_is_right(place, 
     assert (np.abs(theta) < 4.0 * found.tracker_sigma).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('part', [0.3, 0.5])
 def test_mixed_up_numbers_never_give_a_wrong_attitude(part):
     """Any mixture in any field: the right attitude, or an AcquisitionError and no other."""

@@ -483,6 +483,7 @@ def test_scale_factors_and_symmetric_part_are_found(scaled):
         assert ((sigma[kept] < 10e-6) == seen).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('tau', [0.01, -0.01])
 def test_time_offset_removes_the_bias_that_it_is_for(tau, late):
     blind = Run({'estimator.answer_changes': False}, 550.0, tau=tau)
@@ -494,6 +495,7 @@ def test_time_offset_removes_the_bias_that_it_is_for(tau, late):
     assert run.calibrator.belief.augmented_sigma[0] < 1e-4             # of 20 ms at first
 
 
+@pytest.mark.slow
 def test_estimates_of_all_26_states_are_consistent():
     """Mean NEES of 16 runs, through rotations about two axes, in its 99.9 % interval."""
     nees = []

@@ -631,12 +631,14 @@ def assert_mean_is_chi_square(values, degrees):
     assert low < np.mean(values) < high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('frame', [0, 20, -1], ids=['first frame', 'after 10 s', 'end'])
 def test_estimates_are_consistent_while_the_mounting_can_not_be_seen(short_runs, frame):
     """Here a filter that counts the attitude as phi, not theta, gets over-confident."""
     assert_mean_is_chi_square([run.nees(frame) for run in short_runs], 16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('frame', [0, 20, 120, -1],
                          ids=['first frame', 'after 10 s', 'after 60 s', 'end'])
 def test_estimates_are_consistent_through_rotations(long_runs, frame):

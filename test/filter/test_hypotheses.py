@@ -106,6 +106,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', CASES)
 def test_an_effect_that_the_model_lacks_is_found_with_its_size(name):
     settings, spoil, size = CASES[name]

@@ -125,6 +125,7 @@ def test_a_level_far_from_the_stated_one_is_said_aloud_and_one_nearby_is_not():
 # Whole runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sigma, walk', [(0.1, 10.0), (10.0, 0.1)])
 def test_levels_that_are_stated_ten_times_wrong_are_found_and_the_errors_are_honest(sigma, walk):
     scenario = stated(sigma, walk)
@@ -151,6 +152,7 @@ def test_levels_that_are_right_are_left_to_the_bit():
     assert plain.noise.levels() == () and result(plain, {})['noise_levels'] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [1, 3])
 def test_a_walk_that_the_stars_drown_is_found_to_a_tenth_from_wherever_it_is_stated(seed):
     """T18's own: by the covariances alone a quarter of an hour would leave it unknown."""
@@ -210,6 +212,7 @@ def test_a_single_pass_comes_down_to_the_noise_of_the_centroids(sigma):
     assert calibrator.belief.nees(true) < 48.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sigma, walk', [(0.1, 10.0), (10.0, 0.1), (1.0, 1.0)])
 def test_a_single_pass_comes_down_to_the_noise_of_the_gyros_once_the_centroids_rest(sigma, walk):
     run = RUN.replace({'simulation.duration_s': 600.0})

@@ -311,6 +311,7 @@ def test_external_recording_is_used_whole(external):
 # What leaving aberration out costs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('ahead', [True, False, None], ids=['ahead', 'astern', 'as shipped'])
 def test_aberration_left_out_makes_the_focal_length_wrong_by_2_um(ahead):
     """Ahead, angles shrink by v/c cos a, and with them f; astern they grow: DESIGN Sec. 5.

@@ -190,6 +190,7 @@ WALKS = [('gyro_bias_deg_h_sqrt_h', 0.3, EPSILON), ('fixed_angles_arcsec_sqrt_h'
          ('principal_point_px_sqrt_h', 3.0, LENS)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name, density, walking', WALKS, ids=[walk[0] for walk in WALKS])
 def test_walk_that_the_filter_knows_of_does_no_harm(name, density, walking):
     """Without it the walking states are off by many sigma."""
@@ -199,6 +200,7 @@ def test_walk_that_the_filter_knows_of_does_no_harm(name, density, walking):
     assert [state for state, error in zip(STATE_NAMES, errors) if abs(error) > 3.5] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name, density', [walk[:2] for walk in WALKS])
 def test_estimates_of_walking_states_are_consistent(name, density):
     """Mean NEES of 30 runs, through a rotation, in its 99.9 % chi-square interval."""

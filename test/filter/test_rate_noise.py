@@ -95,6 +95,7 @@ def test_the_scores_of_optional_states_have_the_mean_that_is_taken_off(optional)
                                atol=0.02 * np.abs(mean).max())      # the turn over the interval
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rate_hz', [2.0, 2.3])
 def test_a_time_offset_behind_a_coarse_gyro_is_not_drawn_along(rate_hz):
     """At 2.3 Hz frames fall anywhere between two readings."""
@@ -108,6 +109,7 @@ def test_a_time_offset_behind_a_coarse_gyro_is_not_drawn_along(rate_hz):
     assert failed(calibrator) == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['fog', 'mems', 'cubesat'])
 def test_a_right_model_of_each_class_of_instrument_is_not_doubted(name):
     run = presets.scenario(name).replace({'simulation.duration_s': 1800.0})
@@ -117,6 +119,7 @@ def test_a_right_model_of_each_class_of_instrument_is_not_doubted(name):
     assert calibrator.belief.nees(true) < 65.0              # 1e-5 of 25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('truth, told', [
     ({}, None), ({'truth.star_tracker.centroid_sigma_px': 0.15}, 'NIS of the rest'),
     ({'truth.gyro.arw_deg_sqrt_h': 3.0}, 'NIS of the turns')])

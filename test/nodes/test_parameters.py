@@ -46,6 +46,7 @@ def put(peer, node, *given):
     return peer.call(SetParameters, f'{node}/set_parameters', request).results
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', NODES)
 def test_all_parameters_are_dumped_described_loaded_and_started_with(
         start, peer, bag, name, tmp_path):

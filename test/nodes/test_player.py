@@ -118,6 +118,7 @@ def quiet(peer, heard):
     return len(heard) == before
 
 
+@pytest.mark.slow
 def test_estimator_starts_again_with_each_lap_and_lives_by_the_clock(start, peer, folder):
     estimator = start('estimator', '--params-file', str(folder / 'config.yaml'),
                       '-p', 'use_sim_time:=true')

@@ -122,6 +122,7 @@ def test_a_full_disk_ends_the_recorder_alone_and_what_is_on_it_can_be_read(
     assert len(log_times) >= 200 and (np.diff(log_times) == 10_000_000).all()
 
 
+@pytest.mark.slow
 def test_a_recorder_that_is_stopped_for_long_says_so_in_the_file(start, peer, tmp_path):
     """What was lost after the last message that came, no stamp tells."""
     recorder, path = recording(start, tmp_path)

@@ -165,6 +165,7 @@ def test_images_of_another_size_than_the_camera_are_named(bag, capsys):
             in capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_bootstrap_from_images_alone(tmp_path, capsys):
     """A focal length that is 10 % wrong, no name of a star, no centroid: to the 16 states."""
     pytest.importorskip('tetra3rs')

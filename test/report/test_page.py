@@ -470,6 +470,7 @@ def test_browser_draws_every_figure_without_an_error(folder, size):
     assert not [title for title in titles if re.search('share|cloud|edit', title, re.I)]
 
 
+@pytest.mark.slow
 def test_browser_prints_the_page_without_an_error(folder):
     _, console = browse(folder, f'--print-to-pdf={folder / "report.pdf"}')
     assert console == []

@@ -52,12 +52,14 @@ def outcome(request, tmp_path_factory):
             SCENARIO, 2, tmp_path_factory.mktemp('work'), lambda part: None)
 
 
+@pytest.mark.slow
 def test_rows_fill_the_columns_and_the_notes_say_what_is_missing(outcome):
     assert outcome.rows and outcome.notes
     assert {len(row) for row in outcome.rows} == {len(outcome.columns)}
     json.dumps(outcome.as_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('width', [50, 1000])
 def test_table_shows_every_digit_however_narrow_the_terminal(outcome, width):
     console = Console(width=width, file=io.StringIO())
@@ -65,6 +67,7 @@ def test_table_shows_every_digit_however_narrow_the_terminal(outcome, width):
     assert '\N{HORIZONTAL ELLIPSIS}' not in console.file.getvalue()
 
 
+@pytest.mark.slow
 def test_what_is_drawn_is_finite(outcome):
     for panel in outcome.panels:
         for curve in panel.curves:
@@ -212,6 +215,7 @@ def test_command_prints_the_table_and_writes_it(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [out]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('outcome', ['real-sky'], indirect=True)
 def test_real_skies_are_met_by_the_bundle(outcome):
     """The held-out images as well as ever, and own centroids as well as those of others."""

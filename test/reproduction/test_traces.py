@@ -29,6 +29,7 @@ def mean_square(trace, held_out):
     return ratio.mean(), np.sqrt(2.0 / ratio.size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('held_out', [False, True])
 def test_residuals_have_the_variance_that_the_filter_states(trace, held_out):
     value, sigma = mean_square(trace, held_out)
@@ -68,6 +69,7 @@ def test_gyro_without_noise_drifts_by_its_bias_alone(tmp_path):
     np.testing.assert_allclose(trace.drift[0, -1], expected, atol=2e-3 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_monte_carlo(trace):
     runs = run_batch(SCENARIO, range(1, RUNS + 1))
     np.testing.assert_allclose(trace.error[:, -1], runs.error[:, -1], rtol=1e-12)

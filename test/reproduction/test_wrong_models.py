@@ -41,6 +41,7 @@ ANSWERED = {
 """Rows in which something changes on the way."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('row', [row for row in ROWS if row.name in NAMED],
                          ids=lambda row: row.name)
 def test_what_is_wrong_is_named_and_can_not_have_converged(row):
@@ -83,6 +84,7 @@ def test_wrong_stars_and_silences_together_leave_the_errors_honest():
     assert judged.nees < 48.0 and np.abs(judged.error).max() < 4.5     # 1e-4 of 16
 
 
+@pytest.mark.slow
 def test_the_study_tabulates_the_rows_and_counts_false_alarms(tmp_path, monkeypatch):
     monkeypatch.setattr(study, 'ROWS', (ROWS[0],))
     monkeypatch.setattr(study, 'CLEAN_RUNS', 2)

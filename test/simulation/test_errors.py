@@ -400,6 +400,7 @@ def drifts(t, **more):
                      for truth in truths]) / (10.0 * ARCSEC)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('t', [0, 50, 7200])
 def test_drift_is_stationary_from_the_start(t):
     assert_unit_variance(drifts([t]))

@@ -63,6 +63,7 @@ def test_a_wide_field_is_found_without_a_word(images):
     assert is_right(found, true) and found['counts']['images'] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('field_deg', [90.0, 100.0])
 def test_a_very_wide_field_is_found_without_a_word(images, field_deg):
     true = {**TRUE, 'f_px': 320.0 / np.tan(np.radians(field_deg / 2.0)), 'k1': -0.02, 'k2': 0.0}

@@ -72,6 +72,7 @@ def test_too_little_is_named(sensed):
         bootstrap(GyroSamples.empty(), Frames.empty(), SCENARIO)
 
 
+@pytest.mark.slow
 def test_command_shows_the_camera_after_each_step(tmp_path, capsys):
     bag, out, config = tmp_path / 'run.mcap', tmp_path / 'result.json', tmp_path / 'off.yaml'
     simulate(SCENARIO.replace({'simulation.duration_s': 360.0}), bag)

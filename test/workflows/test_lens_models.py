@@ -107,6 +107,7 @@ def test_an_all_sky_lens_is_no_pinhole_and_the_one_that_fits_is_named(tmp_path, 
     assert found['counts']['rejected_stars'] < 0.05 * found['counts']['stars']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['plumb_bob', 'equidistant', 'rational'])
 def test_auto_takes_the_simplest_lens_that_predicts_best(tmp_path, name):
     status, found = calibrated(write(tmp_path / 's.csv', name, 5), '--lens', 'auto')
@@ -126,6 +127,7 @@ def test_where_no_lens_fits_it_is_said(tmp_path, capsys):
             in capsys.readouterr().out.replace('\n', ' '))
 
 
+@pytest.mark.slow
 def test_any_lens_may_have_another_focal_length_in_each_image(tmp_path, capsys):
     own_px = (-6.0, 4.0, 9.0, -2.0, 5.0)
     path = write(tmp_path / 's.csv', 'kannala_brandt', 5, own_px=own_px)

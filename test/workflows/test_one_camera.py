@@ -57,6 +57,7 @@ def test_one_camera_is_one_camera(tmp_path, seed, capsys):
     assert 'sigma, images' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_camera_that_moves_has_the_sigma_of_its_images(tmp_path, capsys):
     """The focal length scatters by 5 px, the formal sigma of each image alone is 1 px."""
     miss = []

@@ -101,6 +101,7 @@ def test_methods_without_an_attitude_take_a_table_as_a_spreadsheet_writes_it(
         assert abs(camera_[key] - TRUE[key]) < 4.0 * camera_['sigma'][key]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method', ['bundle', 'angular_distance', 'singular_value', 'interstar'])
 def test_a_fifth_of_wrong_numbers_is_let_go(method, tmp_path):
     images = table.read_centroids(write(tmp_path / 'stars.csv', 12, wrong=0.2), EPOCH)

@@ -76,6 +76,7 @@ def test_rendered_images_give_the_true_camera(folder, tmp_path, capsys):
     assert (np.abs(errors(json.loads(again.read_text())) - error) < 0.05 * sigma).all()
 
 
+@pytest.mark.slow
 def test_any_method_calibrates_and_the_field_may_be_unknown(folder, tmp_path):
     out = tmp_path / 'c.json'
     assert main(['intrinsics', str(folder), '--method', 'angular_distance', '--weighting', 'full',
@@ -161,6 +162,7 @@ def horizontal(altitude_deg, count, rising=False):
     return any_[np.argsort(off)[:count]]
 
 
+@pytest.mark.slow
 def test_refraction_biases_a_camera_that_does_not_know_of_it(tmp_path, capsys):
     """Images at 20 deg of altitude: a part in a thousand of f, and none with the site."""
     images, eye = tmp_path / 'images', Camera(Observer('geocentre'), SITE)
@@ -190,6 +192,7 @@ def test_refraction_biases_a_camera_that_does_not_know_of_it(tmp_path, capsys):
     assert 'show stars below the horizon: site or times are wrong' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_clock_that_another_zone_fits_far_better_is_said(tmp_path, capsys):
     """The camera's clock is two hours ahead; the files say that it is UTC."""
     images, out = tmp_path / 'images', tmp_path / 'c.json'
