@@ -19,6 +19,7 @@ from starcal_ros.report.states import LABELS, UNITS, Row
 USUAL, RARE = 2.30, 9.21        # chi-square of two degrees of freedom: 68 %, 99 %
 """NIS of a star up to which a residual is nothing to speak of, and from which on it is odd."""
 
+_ERROR = 2                      # level of diagnostics: inconsistent or lost
 _LABELS = ('φ_x', 'φ_y', 'φ_z', *LABELS)
 _UNITS = (*UNITS[3:6], *UNITS)
 _SHOWN_UNIT = np.array([*(DEG,) * 3, *(DEG_PER_HOUR,) * 3, *(DEG,) * 3, *(1.0,) * 7])
@@ -76,6 +77,12 @@ def silence(seen: Seen) -> str:
         return ''
     since = f'for {seen.silent_s:.0f} s' if np.isfinite(seen.silent_s) else 'so far'
     return f'no estimator is heard {since}'
+
+
+def doubt(seen: Seen) -> str:
+    """Say that the sigmas are not to be believed, '' while nothing speaks against them."""
+    return ('The data contradict the model: the sigmas are not to be believed.'
+            if seen.level == _ERROR else '')
 
 
 def states(seen: Seen) -> list[StateFact]:

@@ -23,8 +23,6 @@ from starcal_ros.report.states import SIGMA_UNITS, short
 from starcal_ros.report.statistic_charts import place
 
 _KINDS = ('good', 'warning', 'bad', 'gone')     # by the level of diagnostics
-_ERROR = _KINDS.index('bad')
-_DOUBT = 'The data contradict the model: the sigmas are not to be believed.'
 _MOST_STARS = 2000                              # that a browser draws in no time
 
 
@@ -53,7 +51,7 @@ def picture(seen: Seen) -> dict[str, Any]:
     advice, rms = facts.advice(seen), facts.reprojection_px(seen)
     return {
         'verdict': _verdict(seen),
-        'doubt': _DOUBT if seen.level == _ERROR else '',
+        'doubt': facts.doubt(seen),
         'advice': clean(advice), 'axis': advised_axis(advice),
         'time_to_go': time_text(facts.remaining_s(seen)),
         'not_told_apart': clean(facts.not_told_apart(seen)),

@@ -35,11 +35,13 @@ def render(seen: Seen) -> RenderableType:
     body = Table.grid(padding=(0, 1))
     cells: list[RenderableType] = []
     if seen.state is not None:
-        cells.append(_states(facts.states(seen)))
+        cells.append(_states(facts.states(seen), bool(facts.doubt(seen))))
     if seen.stars is not None and seen.size is not None:
         cells.append(Group(*_stars(seen.stars, seen.size)))
     body.add_row(*cells)
     parts.append(body)
+    if seen.state is not None and (doubt := facts.doubt(seen)):
+        parts.append(Text(doubt, style='bold red'))
     if counts := ', '.join(f'{name} {value}' for name, value in facts.counts(seen).items()):
         parts.append(Text(clean(counts), style='dim'))
     if (advice := facts.advice(seen)) and advice not in seen.message:
@@ -87,17 +89,17 @@ def _inputs(seen: Seen) -> Text:
     return Text(clean(', '.join(filter(None, parts))))
 
 
-def _states(states: Sequence[facts.StateFact]) -> Table:
+def _states(states: Sequence[facts.StateFact], doubted: bool) -> Table:
     out = Table(box=None, padding=(0, 1, 0, 0), header_style='dim')
     for column, justify in (('', 'left'), ('estimate', 'right'), ('sigma', 'right'),
                             ('tolerance', 'right'), ('', 'left'), ('', 'left')):
         out.add_column(column, justify=justify, no_wrap=True)       # type: ignore[arg-type]
     for state in states:
         row, known = state.row, np.isfinite(state.tolerance)
-        style = 'dim' if not known else 'green' if state.within else 'yellow'
+        sign, style = (('', 'dim') if not known else ('?', 'red') if doubted else
+                       ('✓', 'green') if state.within else ('…', 'yellow'))
         out.add_row(row.label, row.places(row.estimate), short(row.sigma),
-                    short(state.tolerance) if known else '', row.unit,
-                    '' if not known else '✓' if state.within else '…', style=style)
+                    short(state.tolerance) if known else '', row.unit, sign, style=style)
     return out
 
 

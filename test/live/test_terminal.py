@@ -99,6 +99,13 @@ def test_states_stand_beside_their_tolerances():
     assert 'last frame 2026-07-02T12:00:00.250 UTC' in '\n'.join(lines)
 
 
+def test_a_sigma_that_the_data_contradict_is_not_ticked_off():
+    values = {'sigma_u0': '0.04', 'tolerance_u0': '0.1', 'tolerance_v0': '0.03'}
+    shown = text(Seen(state(0.04), level=2, silent_s=0.0, values=values))
+    assert shown.count('?') == 2 and '✓' not in shown and '…' not in shown
+    assert 'the sigmas are not to be believed' in shown
+
+
 def test_view_has_verdict_inputs_counts_and_what_can_not_be_told_apart():
     shown = text(Seen(
         stars=stars((1, 1, 0.3, 0.4, 1, 1), (9, 9, 7, 7, 99, 0)), size=(64, 64), level=0,
