@@ -16,6 +16,10 @@ Strings = tuple[str, ...]
 class CentroidExtractorConfig:
     """The centroid extractor node."""
 
+    image_transport: Annotated[str, Spec(
+        'How the images come, by the names of image_transport: sensor_msgs/Image, or '
+        'sensor_msgs/CompressedImage (JPEG or PNG) of the topic with /compressed behind its name',
+        choices=('raw', 'compressed'))] = 'raw'
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that star_tracker/spots must have before images are listened to', '', 0, 100)
     ] = 0

@@ -8,7 +8,8 @@ from typing import Any
 
 from starcal_ros.imaging.spot_meter import SpotMeter
 from starcal_ros.messages import cdr_pointcloud, topics
-from starcal_ros.messages.cdr_image import ImageMessageError, decode_image
+from starcal_ros.messages.cdr_compressed_image import decoder
+from starcal_ros.messages.cdr_image import COMPRESSED_TYPE, ImageMessageError
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.tally import Tally
@@ -35,7 +36,13 @@ class CentroidExtractor(ManagedNode):
         self.when_heard(self.scenario.centroid_extractor.wait_for_subscribers, self._listen)
 
     def _listen(self) -> None:
-        self.listen(topics.IMAGES, self._on_images, at_once=_AT_ONCE)
+        images = topics.IMAGES
+        if self.scenario.centroid_extractor.image_transport == 'compressed':
+            images = images._replace(        # the name that image_transport gives it, remapped too
+                name=f'{self.resolve_topic_name(images.name)}/compressed',
+                type_name=COMPRESSED_TYPE)
+        self._decode = decoder(images.type_name)
+        self.listen(images, self._on_images, at_once=_AT_ONCE)
 
     def deactivate(self) -> None:
         """Say what was done."""
@@ -51,7 +58,7 @@ class CentroidExtractor(ManagedNode):
                 self.faults.add('unsuitable image', f'image dropped, unsuitable: {error}')
 
     def _measure(self, message: bytes) -> None:
-        stamp_ns, frame_id, image, pattern = decode_image(message)
+        stamp_ns, frame_id, image, pattern = self._decode(message)
         frame, left_out = self._meter.measure(image, stamp_ns, pattern)
         self._tally.newest_ns = stamp_ns
         self._tally.done.update({'images': 1, 'spots': len(frame.uv_raster),

@@ -3,20 +3,24 @@
 """From images to an attitude over real DDS, and what comes to the nodes that is no image."""
 
 from dataclasses import replace
+import io
 import signal
 import sys
 import time
 
+import PIL.Image
 import numpy as np
 import pytest
 
 rclpy = pytest.importorskip('rclpy')
 pytest.importorskip('tetra3rs')
 
+from builtin_interfaces.msg import Time  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
-from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
 
 from instruments import TAN2018, TOP  # noqa: E402
 from peer import PATIENCE_S  # noqa: E402
@@ -203,6 +207,27 @@ def test_what_is_no_image_is_said_once_a_kind_and_counted(start, parameters, pee
     assert '1 images' in said
     assert (values()['images'], values()['unsupported encoding']) == ('1', '3')
     assert peer.diagnostics[-1].status[0].name == 'starcal: centroids'
+
+
+def test_compressed_images_have_the_spots_of_the_raw_ones(start, parameters, peer):
+    spots = listen(peer, PointCloud2, 'star_tracker/spots')
+    start('centroid_extractor', *parameters, '-r', 'star_tracker/image_raw:=/camera/image',
+          '-p', 'centroid_extractor.image_transport:=compressed')
+    publisher = peer.node.create_publisher(CompressedImage, '/camera/image/compressed', 100)
+    peer.until(publisher.get_subscription_count)
+    stamp_ns = int(sensors.star_tracker(SCENARIO).stamp_ns(0))
+    pixels = sensors.images(SCENARIO).image(stamp_ns)
+    data = io.BytesIO()
+    PIL.Image.fromarray(pixels).save(data, 'PNG')
+    stamp = Time(sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    publisher.publish(CompressedImage(
+        header=Header(stamp=stamp, frame_id='lens'), format='mono8; png compressed mono8',
+        data=data.getvalue()))
+    publisher.publish(CompressedImage(header=Header(stamp=stamp), format='png', data=b'none'))
+    peer.until(lambda: spots)
+    np.testing.assert_array_equal(frames_of(spots).uv_raster,
+                                  SpotMeter(SCENARIO).measure(pixels, stamp_ns)[0].uv_raster)
+    assert frames_of(spots).stamp_ns == [stamp_ns]
 
 
 @pytest.fixture
