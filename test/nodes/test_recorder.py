@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorder and player: what one wrote, the other publishes again, nothing lost and in order."""
 
+import math
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ rclpy = pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # noqa: E402
 
@@ -188,6 +190,14 @@ def test_stamp_of_transforms_is_that_of_the_first():
     of_transforms = stamp_reader(Transforms)
     assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named(messages))) == START_NS + 7
     assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named([]))) is None
+
+
+@pytest.mark.parametrize('stamp_s, stamp_ns', [
+    (1.5, 1_500_000_000), (math.nan, None), (math.inf, None), (-1.0, None), (1e300, None)])
+def test_stamp_of_an_array_is_one_only_where_it_is_a_time(stamp_s, stamp_ns):
+    array = Float64MultiArray(data=[stamp_s, 1.0])
+    array.layout.dim = [MultiArrayDimension(label='stamp_s', size=1, stride=1)]
+    assert stamp_reader(Float64MultiArray)(serialize_message(array)) == stamp_ns
 
 
 def test_only_topics_that_somebody_publishes_are_in_the_graph(start, peer, tmp_path):

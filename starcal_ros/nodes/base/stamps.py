@@ -26,6 +26,7 @@ _FIRST, _IN_ARRAY = 4, 8        # behind the encapsulation, and the number of el
 _TIME = 'builtin_interfaces/Time'
 _STAMPED = ('std_msgs/Header', _TIME)
 _ARRAYS = ('sequence<geometry_msgs/TransformStamped>',)
+_SECONDS = 2.0**31              # of builtin_interfaces/Time, before which all stamps are
 
 
 def stamp_reader(kind: type) -> Callable[[bytes], int | None]:
@@ -57,6 +58,8 @@ def _at(message: bytes, offset: int) -> int:
 def _labelled(message: bytes) -> int | None:
     array = deserialize_message(message, Float64MultiArray)
     if not array.data or [part.label for part in array.layout.dim[:1]] != [STATE_LAYOUT[0][0]]:
+        return None
+    if not 0.0 <= array.data[0] < _SECONDS:     # as the NaN of a display that knows no frame yet
         return None
     return round(array.data[0] * 1e6) * 1000
 
