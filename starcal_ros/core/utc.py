@@ -9,7 +9,9 @@ _DECIMALS = re.compile(r'\.(\d+)')
 
 
 def parse(text: str) -> datetime:
-    """Return an ISO 8601 time with any number of decimals; aware where it states a zone but Z.
+    """Return an ISO 8601 time with any number of decimals; aware where it states a zone but UTC.
+
+    That is a Z, or the word, as `worded` writes it.
 
     Raises
     ------
@@ -18,7 +20,23 @@ def parse(text: str) -> datetime:
     """
     # Python 3.10 knows no Z, and 3 or 6 decimals only.
     return datetime.fromisoformat(_DECIMALS.sub(lambda part: f'.{part[1]:0<6.6}',
-                                                text.removesuffix('Z')))
+                                                text.removesuffix('Z').removesuffix(' UTC')))
+
+
+def worded(text: str) -> str:
+    """Return an ISO 8601 time, UTC unless it says otherwise, as one that says UTC by the word.
+
+    YAML takes any other spelling for a time where it stands bare.
+
+    Raises
+    ------
+    ValueError
+        Where it is not such a time.
+    """
+    when = parse(text)
+    if when.tzinfo is not None:
+        when = when.astimezone(timezone.utc).replace(tzinfo=None)
+    return f'{when.isoformat()} UTC'
 
 
 def unix_ns(text: str) -> int:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `ros2 param` asks of each node, with the requests that it makes."""
 
+from array import array
 import json
 import signal
 
@@ -12,7 +13,9 @@ rclpy = pytest.importorskip('rclpy')
 from rcl_interfaces.msg import ParameterType  # noqa: E402
 from rcl_interfaces.srv import (DescribeParameters, GetParameters, ListParameters,  # noqa: E402
                                 SetParameters)
-from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
+from rclpy.parameter import (Parameter, parameter_dict_from_yaml_file,  # noqa: E402
+                             parameter_value_to_python)
+import yaml  # noqa: E402
 
 from instruments import CONFIG, TAN2018  # noqa: E402
 from peer import PATIENCE_S  # noqa: E402
@@ -41,9 +44,22 @@ def dump(peer, node):
 
 
 def put(peer, node, *given):
-    """Set parameters one by one, as `ros2 param load` does; return the results."""
-    request = SetParameters.Request(parameters=[each.to_parameter_msg() for each in given])
+    """Set parameters one by one; return the results."""
+    return put_messages(peer, node, [each.to_parameter_msg() for each in given])
+
+
+def put_messages(peer, node, messages):
+    """Set parameters one by one, given as messages; return the results."""
+    request = SetParameters.Request(parameters=messages)
     return peer.call(SetParameters, f'{node}/set_parameters', request).results
+
+
+def load(peer, node, values, folder):
+    """Set what `ros2 param dump` writes as `ros2 param load` does; return the results."""
+    file = folder / 'dump.yaml'
+    file.write_text(yaml.dump({f'/{node}': {'ros__parameters': values}}))
+    return put_messages(peer, node, [*parameter_dict_from_yaml_file(
+        str(file), target_nodes=[node]).values()])
 
 
 @pytest.mark.slow
@@ -60,8 +76,9 @@ def test_all_parameters_are_dumped_described_loaded_and_started_with(
                           DescribeParameters.Request(names=list(first))).descriptors
     assert [each.type for each in described] == [value.type for value in first.values()]
     values = {key: parameter_value_to_python(value) for key, value in first.items()}
-    for each in put(peer, 'first', *(Parameter(key, Parameter.Type(first[key].type), value)
-                                     for key, value in values.items())):
+    values = {key: list(value) if isinstance(value, (list, array)) else value
+              for key, value in values.items()}
+    for each in load(peer, 'first', values, tmp_path):
         assert each.successful, each.reason
     if name in OWN:                             # YAML does not tell the type of an empty list
         assert values[OWN[name]] == []
@@ -72,9 +89,7 @@ def test_all_parameters_are_dumped_described_loaded_and_started_with(
     (tmp_path / 'run.mcap').unlink(missing_ok=True)
     file = tmp_path / 'dumped.yaml'
     # In JSON, which is YAML: `ros2 param dump` writes the axis y bare, which rcl takes for a bool.
-    file.write_text(json.dumps({'/**': {'ros__parameters': {
-        key: value if isinstance(value, (str, float, int)) else list(value)
-        for key, value in values.items()}}}))
+    file.write_text(json.dumps({'/**': {'ros__parameters': values}}))
     again = start(name, '--params-file', str(file), '-r', '__node:=second')
     assert dump(peer, 'second') == first
     again.send_signal(signal.SIGINT)

@@ -3,7 +3,8 @@
 """The scenario as ROS parameters: declared from `config.scenario`, read by every node alike.
 
 A parameter without a value is not declared: it would empty rclpy's answer to who asks for all of
-them, as `ros2 param dump` does. An empty list is a value.
+them, as `ros2 param dump` does. An empty list is a value. Times are declared with their UTC as a
+word: `ros2 param load` takes a text that YAML knows as a time for one, and can not send it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from rclpy.parameter import Parameter
 
 from starcal_ros.config.parameter import ConfigError, Parameter as Declared
 from starcal_ros.config.scenario import Scenario, from_flat, parameters, unknown
+from starcal_ros.core import utc
 
 _TYPES = {float: 'DOUBLE', int: 'INTEGER', bool: 'BOOL', str: 'STRING'}
 _DOUBLES = (Parameter.Type.DOUBLE, Parameter.Type.DOUBLE_ARRAY)
@@ -96,7 +98,8 @@ def declare(node: Node, *groups: str) -> Scenario:
         if value == ():
             _declare_empty(node, name, parameter)
         elif value is not None:
-            node.declare_parameter(name, list(value) if isinstance(value, tuple) else value,
+            value = list(value) if isinstance(value, tuple) else value
+            node.declare_parameter(name, utc.worded(value) if name.endswith('_utc') else value,
                                    _descriptor(parameter), ignore_override=True)
     return scenario
 
