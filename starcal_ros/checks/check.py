@@ -135,7 +135,14 @@ def _compare(gyro: GyroSamples, seen: sky.SeenSky, scenario: Scenario
     if len(gyro) < 2 * LEAST or len(turns) < LEAST:
         return [], [f'the turns: {len(gyro)} readings and {len(turns)} intervals between frames '
                     'are too few']
-    rough = axes.coarse(turns, Running.of(gyro), int(gyro.stamp_ns[0]), scenario)
+    # Whether the camera turns enough is asked of what there are readings of. Where there are none
+    # at all, the clocks differ.
+    within = covered(turns, gyro, 0.0)
+    if 0 < len(within) < LEAST:
+        return [], [f'the turns: {len(within)} intervals between frames are covered by readings, '
+                    'which are too few']
+    rough = axes.coarse(within if len(within) else turns, Running.of(gyro),
+                        int(gyro.stamp_ns[0]), scenario)
     if rough is None:
         return [], ['mounting, axes, units, stamps and scale: the camera does not turn enough']
     findings = list(rough.findings)

@@ -93,6 +93,15 @@ def test_at_rest_nothing_is_told_of_the_mounting():
     assert 'does not turn enough' in checked.untold[0]
 
 
+@pytest.mark.parametrize('gyro_s', [5.0, 20.0, 31.0])
+def test_readings_of_a_part_of_the_frames_are_compared_with_that_part(gyro_s):
+    """As where a gyro falls silent, or its readings come later than the frames."""
+    scenario = TAN2018.replace({'simulation.duration_s': 120.0})    # 30 s at rest, then a turn
+    gyro, frames = messages(scenario)
+    checked = check(gyro[:round(gyro_s * scenario.gyro.rate_hz)], frames, scenario)
+    assert checked.findings == () and checked.untold
+
+
 def test_a_turn_about_one_axis_does_not_tell_what_was_done_to_the_others():
     scenario = SHORT.replace({'motion.axes': ('z', 'z'), 'motion.angles_deg': (30.0, -30.0)})
     gyro, frames = messages(scenario)
