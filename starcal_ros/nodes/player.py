@@ -51,8 +51,9 @@ class Player(parameters.AnsweringNode):
         names = suite_names(bag.topics(), player.recorded_namespace, {
             topic: getattr(player, key) for topic, key in CHOICES.items()}) if (
                 player.rename) else {}
+        roles = names or _roles(bag.topics())
         # Sensors last: who listens to them has found the others.
-        chosen = sorted(self._choose(bag, player, names), key=lambda topic: names.get(
+        chosen = sorted(self._choose(bag, player, names), key=lambda topic: roles.get(
             topic.name, topic.name).endswith(_SENSORS))
         publishers = {topic.name: publisher for topic in chosen
                       if (publisher := self._publisher(topic, names.get(topic.name, topic.name)))}
@@ -61,7 +62,7 @@ class Player(parameters.AnsweringNode):
         self._feed = Feed(self, self._playback,
                           self._laps(bag, publishers, start_ns, player.loop))
         self._serve(player)
-        played = {names.get(name, name): publisher for name, publisher in publishers.items()
+        played = {roles.get(name, name): publisher for name, publisher in publishers.items()
                   if name in names or not names}
         stars = next((form for form in STARS
                       if any(name.endswith(form.name) for name in played)), IMU)
@@ -146,6 +147,14 @@ class Player(parameters.AnsweringNode):
         self._feed.resume()
         response.success, response.message = True, 'playing'
         return response
+
+
+def _roles(topics: list[RecordedTopic]) -> dict[str, str]:
+    """Return what topics that keep their names are to the suite, none where that is not clear."""
+    try:
+        return suite_names(topics, '', {})
+    except ConfigError:
+        return {}
 
 
 def _start(bag: Bag, publishers: dict[str, FlowPublisher], player: PlayerConfig) -> int:

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from instruments import TAN2018  # noqa: E402
 from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.messages.topics import TRUE_PARAMETERS  # noqa: E402
 from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
 from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
@@ -196,6 +197,9 @@ def renamed(tmp_path_factory):
             with Writer(path) as writer:
                 writer.write_batches(*(batch for imu, stars in pairs for batch in (
                     imu_batch(imu, samples), centroids_batch(stars, frames))))
+                # Nobody listens to this one.
+                writer.write(TRUE_PARAMETERS.recorded, TRUE_PARAMETERS.type_name, bytes(16),
+                             int(samples.stamp_ns[0]))
         return path
     return record
 
@@ -235,6 +239,16 @@ def test_player_names_the_choice_where_there_is_none_or_more(start, renamed, pai
                    *words)
     errors = player.communicate(timeout=PATIENCE_S)[1]
     assert player.returncode == 2 and said in errors
+
+
+@pytest.mark.parametrize('pair', [LEFT, ODD])
+def test_player_that_keeps_the_names_waits_for_the_sensors_alone(start, folder, renamed, pair):
+    start('estimator', '--params-file', str(folder / 'config.yaml'),
+          '-r', f'imu/data_raw:={pair[0]}', '-r', f'star_tracker/centroids:={pair[1]}')
+    player = start('player', '-p', f'player.bag:={renamed(pair)}', '-p', 'player.rate:=0.0',
+                   '-p', 'player.wait_for_subscribers:=1')
+    assert player.wait(PATIENCE_S) == 0
+    assert '122 messages played' in player.stderr.read()
 
 
 def test_player_says_what_it_waits_for_and_what_there_is(start, renamed):
