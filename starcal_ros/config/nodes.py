@@ -41,7 +41,8 @@ class RecorderConfig:
     """The recorder node."""
 
     output: Annotated[str, Spec(
-        'File to write, or directory where the recording is split; must not exist')] = 'run.mcap'
+        'File to write, or directory where the recording is split; must not exist. A new one is '
+        'for the next recording', changeable=True)] = 'run.mcap'
     topics: Annotated[Strings, Spec(
         'Topics to record; empty is all topics of the suite')] = ()
     max_bagfile_size: Annotated[int, Spec(

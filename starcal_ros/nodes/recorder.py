@@ -30,9 +30,10 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config import parameter_file
+from starcal_ros.config.scenario import Scenario
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.topics import DIAGNOSTICS, TOPICS, TRUE_PARAMETERS, Topic
-from starcal_ros.nodes.base import run_loop
+from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.qos import message_type, offered_qos
 from starcal_ros.nodes.base.stamps import is_of_ros, stamp_reader
@@ -62,6 +63,7 @@ class Recorder(ManagedNode):
         super().__init__('recorder', 'recorder', **options)
         self._channels: dict[str, Channel] = {}
         self.failed = False
+        parameters.follow(self, self.scenario, self._change)
         self.start()
 
     @property
@@ -117,6 +119,9 @@ class Recorder(ManagedNode):
             self.get_logger().info(
                 f'{sum(counts.values())} messages recorded to {self._writer.path}: '
                 + ', '.join(f'{name} {n}' for name, n in counts.items() if n))
+
+    def _change(self, scenario: Scenario) -> None:
+        self.scenario = scenario
 
     def _fail(self, error: RecordError) -> None:
         """Say what ends the recording."""

@@ -14,7 +14,9 @@ rclpy = pytest.importorskip('rclpy')
 
 from lifecycle_msgs.msg import Transition, TransitionEvent  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import LivelinessPolicy, QoSProfile  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
@@ -23,6 +25,7 @@ import yaml  # noqa: E402
 
 from instruments import CONFIG, TAN2018  # noqa: E402
 from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
+from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions, topics  # noqa: E402
@@ -215,6 +218,25 @@ def test_running_node_goes_through_all_transitions_twice(start_once, peer, names
     assert process.wait(PATIENCE_S) == 0, process.stderr.read()
     peer.node.destroy_timer(timer)
     peer.node.destroy_publisher(stream)
+
+
+def test_recorder_is_told_where_to_record_next(start_once, peer, tmp_path):
+    files = [tmp_path / f'{k}.mcap' for k in range(3)]
+    process = start_once('recorder', '-p', f'recorder.output:={files[0]}', '-r', '__node:=next')
+    for file in files[1:]:
+        request = SetParameters.Request(parameters=[
+            Parameter('recorder.output', value=str(file)).to_parameter_msg()])
+        assert peer.call(SetParameters, 'next/set_parameters', request).results[0].successful
+        assert not file.exists()            # the recording goes on where it began
+        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
+                           Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            assert change(peer, 'next', transition)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 0
+    for file in map(McapFile, files):
+        assert file.finished
+        carried = parameter_file.parse(file.attachments['config.yaml'].decode(), 'attachment')
+        assert carried.recorder.output == str(file.path)
 
 
 def test_subscription_that_has_ended_has_nothing_more_to_take(peer):
