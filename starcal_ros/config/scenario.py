@@ -185,7 +185,7 @@ def unknown(key: str) -> str:
     """Return what to say of a name that no parameter has: which has nearly that name."""
     last = key.rpartition('.')[2]
     near = ([known for known in parameters() if known.endswith(f'.{key}')]
-            or difflib.get_close_matches(key, parameters(), n=1)
+            or difflib.get_close_matches(key, [*parameters(), *ROS_OWN], n=1)
             or [known for known in parameters() if known.endswith(f'.{last}')])
     return f'{key}: unknown parameter' + (f'; did you mean {" or ".join(near[:3])}?' if near
                                           else '')

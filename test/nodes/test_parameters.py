@@ -104,10 +104,12 @@ def test_name_that_can_not_be_set_is_answered_with_the_nearest_one(start, peer):
                   Parameter('estimator.gate_probability', value=0.9),
                   Parameter('estimator.gate_probability', value='99e-2'),   # as from a terminal
                   Parameter('camera.distortion', value=str([0, *CAMERA.distortion[1:]])),
-                  Parameter('estimator.gate_probability', value='likely'))
-    assert [each.successful for each in answers] == [False] * 3 + [True] * 3 + [False]
+                  Parameter('estimator.gate_probability', value='likely'),
+                  Parameter('use_sim_tme', value=True))
+    assert [each.successful for each in answers] == [False] * 3 + [True] * 3 + [False] * 2
     assert dump(peer, 'estimator')['estimator.gate_probability'].double_value == 0.99
     assert answers[0].reason.endswith(
         'unknown parameter; did you mean estimator.gate_probability?')
     assert answers[1].reason.startswith('truth.gyro.bias_deg_h: this node has no value of it')
     assert 'read-only' in answers[2].reason
+    assert answers[-1].reason.endswith('did you mean use_sim_time?')
