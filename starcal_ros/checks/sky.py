@@ -223,7 +223,10 @@ def _attitudes(stamp_ns: Ints, spots: Observations, fitted: Adjusted, mirrored: 
     kept = np.bincount(spots.frame, used, n) >= MIN_STARS
     counted = used & kept[spots.frame]
     spread = np.linalg.inv(W) - H @ np.linalg.inv(N)[spots.frame] @ np.swapaxes(H, -1, -2)
-    # Along its trail a star is worse than stated; across, it is as at rest.
+    # Along its trail a star is worse than stated; across, it is as at rest, or better where the
+    # stated sigma is the mean of both.
+    if not scenario.star_tracker.smear:
+        counted = counted & (np.trace(across, axis1=1, axis2=2) > 1.5)
     variance = (fitted.scale * spots.sigma)**2
     freedom = float((np.einsum('nij,nji->n', across, spread) / variance)[counted].sum())
     misfit = np.einsum('ni,nij,nj->n', residual, across, residual) / variance
@@ -251,10 +254,12 @@ def _information(spots: Observations, stamp_ns: Ints, C_si: Array, H: Array, sce
     Both (m, 2, 2); the second projects, and is the identity for a star that does not trail.
 
     A star that moves by l during the exposure has ``sigma^2 (I + l l' / (12 s^2))``, s being that
-    of its spot: Eq. (S.1) of `simulation.errors.smear`.
+    of its spot: Eq. (S.1) of `simulation.errors.smear`. Where the stated sigma holds the trail, as
+    the mean of both axes, that is ``sigma^2 (1 + q / (2 + q))`` along it, q being the square of
+    l / (sqrt(12) s).
     """
     W = np.broadcast_to(np.eye(2), (len(spots.frame), 2, 2)) / spots.sigma[:, None, None]**2
-    if not scenario.star_tracker.smear or len(stamp_ns) < 2:
+    if len(stamp_ns) < 2:
         return W, np.broadcast_to(np.eye(2), W.shape)
     turn = rotation.log(C_si[1:] @ np.swapaxes(C_si[:-1], -1, -2))
     rate = turn / (np.diff(stamp_ns) * NS)[:, None]
@@ -262,6 +267,9 @@ def _information(spots: Observations, stamp_ns: Ints, C_si: Array, H: Array, sce
     trail = (H @ rate[spots.frame][..., None])[..., 0] * (
         scenario.star_tracker.exposure_s / (np.sqrt(12.0) * scenario.image.psf_sigma_px))
     square = np.sum(trail**2, axis=-1)
+    if not scenario.star_tracker.smear:
+        trail /= np.sqrt(2.0 + square)[:, None]
+        square /= 2.0 + square
     shape = np.eye(2) - trail[:, :, None] * trail[:, None, :] / (1.0 + square)[:, None, None]
     along = trail[:, :, None] * trail[:, None, :] / np.maximum(square, 1e-12)[:, None, None]
     return W @ shape, np.eye(2) - np.where((square > _TRAILS)[:, None, None], along, 0.0)

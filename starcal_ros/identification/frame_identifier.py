@@ -52,7 +52,8 @@ class FrameIdentifier:
         self._scenario, camera = scenario, nominal_camera(scenario)
         self._identifier = Identifier(
             CameraGuess(detector(scenario.camera), camera.intrinsics, camera.covariance),
-            observer(scenario.observer), scenario.star_identifier.limiting_magnitude)
+            observer(scenario.observer), scenario.star_identifier.limiting_magnitude,
+            exposure_s=scenario.star_tracker.exposure_s)
         self._identifier.prepare()
         period_ns = 1e9 / scenario.gyro.rate_hz
         self._gyro_time = Timeline[GyroSamples](

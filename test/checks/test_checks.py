@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from instruments import EXTERNAL, TAN2018
+from instruments import DETECTOR, EXTERNAL, PITCH_MM, TAN2018
 from starcal_ros.checks.check import check
 from starcal_ros.checks.finding import Finding, proposed
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import mounting_matrix
-from starcal_ros.core import rotation
+from starcal_ros.core import camera, rotation
 from starcal_ros.evaluation.batch import nominal
 from starcal_ros.recording import reader
 from starcal_ros.reproduction import user_mistakes
@@ -64,6 +64,28 @@ def test_what_is_right_gives_no_finding():
 def test_other_instruments_that_are_right_give_no_finding(name):
     scenario = SHORT.replace(INSTRUMENTS[name])
     assert check(*messages(scenario), scenario).findings == ()
+
+
+def test_sigmas_that_hold_the_trail_as_a_mean_give_no_finding():
+    """As those of measured images: along the trail the noise is larger, across it smaller."""
+    scenario = TAN2018.replace({'simulation.duration_s': 310.0, 'star_tracker.exposure_s': 0.2,
+                                'star_tracker.smear': True})
+    gyro, frames = messages(scenario)
+    true, tracker = Truth.from_scenario(scenario), scenario.star_tracker
+    rows = np.repeat(np.arange(len(frames)), np.diff(frames.first))
+    half_ns = round(tracker.exposure_s * 0.5e9)
+    before, at, after = (
+        true.C_sg @ np.swapaxes(true.motion.attitude(frames.stamp_ns + shift), -1, -2)
+        for shift in (-half_ns, 0, half_ns))
+    r_s = camera.unproject(frames.uv_raster - DETECTOR.centre_raster, true.intrinsics, PITCH_MM)
+    r_i = (np.swapaxes(at, -1, -2)[rows] @ r_s[..., None])[..., 0]
+    begin, end = (camera.project((C_si[rows] @ r_i[..., None])[..., 0], true.intrinsics, PITCH_MM)
+                  for C_si in (before, after))
+    q = np.sum((end - begin)**2, axis=-1) / (12.0 * scenario.image.psf_sigma_px**2)
+    stated = replace(frames, sigma=frames.sigma * np.sqrt(1.0 + q / 2.0))
+    scenario = scenario.replace({'star_tracker.smear': False})
+    assert q.max() > 5.0
+    assert check(gyro, stated, scenario).findings == ()
 
 
 @pytest.mark.skipif(not EXTERNAL.is_dir(), reason='not part of the checkout')
