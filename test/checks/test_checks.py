@@ -16,8 +16,9 @@ from starcal_ros.config.models import mounting_matrix
 from starcal_ros.core import camera, rotation
 from starcal_ros.evaluation.batch import nominal
 from starcal_ros.recording import reader
-from starcal_ros.reproduction import user_mistakes
-from starcal_ros.reproduction.user_mistakes import CLEAN, INSTRUMENTS, ROWS, KnownRecording
+from starcal_ros.reproduction import mistake_trial
+from starcal_ros.reproduction.mistake_trial import KnownRecording
+from starcal_ros.reproduction.user_mistakes import CLEAN, INSTRUMENTS, ROWS
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
@@ -50,13 +51,13 @@ def source():
 
 @pytest.mark.parametrize('name', NAMED)
 def test_a_mistake_is_named_and_nothing_else(name):
-    outcome = user_mistakes.run(ROW[name], source(), 1, calibrated=False)
+    outcome = mistake_trial.run(ROW[name], source(), 1, calibrated=False)
     assert outcome.right and not outcome.wrong, outcome.checked
     assert not outcome.off > 4.5                    # NaN where it has no value
 
 
 def test_what_is_right_gives_no_finding():
-    outcome = user_mistakes.run(CLEAN, source(), 1, calibrated=False)
+    outcome = mistake_trial.run(CLEAN, source(), 1, calibrated=False)
     assert outcome.checked.findings == outcome.checked.untold == ()
 
 
@@ -97,7 +98,7 @@ def test_a_recording_of_others_that_is_right_gives_no_finding():
 
 
 def test_a_mounting_is_proposed_that_calibrates():
-    outcome = user_mistakes.run(ROW['mounting inverse'], source(), 1)
+    outcome = mistake_trial.run(ROW['mounting inverse'], source(), 1)
     assert outcome.words[0] != 'not yet' and outcome.words[1] == 'not yet'
     assert outcome.after < 4.5
     finding, = outcome.checked.findings

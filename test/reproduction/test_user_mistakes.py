@@ -9,8 +9,9 @@ import pytest
 
 from instruments import EXTERNAL, TAN2018
 from starcal_ros.checks.check import check
+from starcal_ros.checks.finding import proposed
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.reproduction import user_mistakes
+from starcal_ros.reproduction import mistake_trial
 from starcal_ros.reproduction.published import user_mistakes as study
 from starcal_ros.reproduction.user_mistakes import INSTRUMENTS, ROWS
 
@@ -26,7 +27,7 @@ def test_there_are_many_mistakes_and_each_has_its_name():
 
 @pytest.mark.parametrize('name', ['rates in deg/s', 'gyro z reversed', 'frames 400 ms late'])
 def test_what_a_driver_must_do_mends_the_calibration(name):
-    judged = user_mistakes.run(BY_NAME[name], study.simulated(SCENARIO, 1), 1)
+    judged = mistake_trial.run(BY_NAME[name], study.simulated(SCENARIO, 1), 1)
     assert judged.right and not judged.wrong
     assert judged.words[0] not in ('converged', 'not yet') and judged.words[1] == 'not yet'
     assert judged.after < 4.5
@@ -39,7 +40,7 @@ def test_a_large_time_offset_is_stated_and_with_it_nothing_is_found():
     found = check(gyro, frames, source.scenario).findings
     offset, = (each.parameters['star_tracker.time_offset_s'] for each in found)
     assert offset == pytest.approx(0.4, abs=2e-4)
-    assert not check(gyro, frames, user_mistakes.proposed(source.scenario, found)).findings
+    assert not check(gyro, frames, proposed(source.scenario, found)).findings
 
 
 def test_the_study_tabulates_mistakes_and_counts_false_alarms(tmp_path, monkeypatch):
@@ -66,5 +67,5 @@ def test_a_folder_without_a_truth_is_refused(tmp_path, monkeypatch):
 @pytest.mark.skipif(not EXTERNAL.is_dir(), reason='not part of the checkout')
 def test_a_mistake_in_a_recording_of_others_is_named():
     known = study.foreign_recording(EXTERNAL)
-    judged = user_mistakes.run(BY_NAME['gyro x and y swapped'], known, 1)
+    judged = mistake_trial.run(BY_NAME['gyro x and y swapped'], known, 1)
     assert judged.right and not judged.wrong and judged.after < 4.5

@@ -27,10 +27,10 @@ from starcal_ros.evaluation.batch import nominal
 from starcal_ros.evaluation.tasks import complete
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.recording import reader
-from starcal_ros.reproduction import user_mistakes
+from starcal_ros.reproduction import mistake_trial
+from starcal_ros.reproduction.mistake_trial import KnownRecording
 from starcal_ros.reproduction.outcome import Outcome
-from starcal_ros.reproduction.user_mistakes import (CLEAN, INSTRUMENTS, ROWS, KnownRecording,
-                                                    Mistake)
+from starcal_ros.reproduction.user_mistakes import CLEAN, INSTRUMENTS, ROWS, Mistake
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 
@@ -137,7 +137,7 @@ def _task(place: str, row: Mistake, scenario: Scenario, seed: int, folder: str
         return {'kinds': np.array('; '.join(kinds))}
     known = foreign_recording(Path(folder)) if folder and place == 'foreign' else simulated(
         scenario, seed)
-    judged = user_mistakes.run(row, known, seed)
+    judged = mistake_trial.run(row, known, seed)
     return {'kinds': np.array('; '.join(sorted({each.kind for each in judged.checked.findings}))),
             'right': np.array(judged.right), 'wrong': np.array('; '.join(judged.wrong)),
             'off': np.array(judged.off), 'before': np.array(judged.before),
