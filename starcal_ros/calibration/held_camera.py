@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.calibration import bundle_adjustment, bundle_start, residual_tests
+from starcal_ros.calibration import bundle_adjustment, bundle_start
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
-from starcal_ros.calibration.residual_tests import FittedStars
+from starcal_ros.calibration.fitted_stars import FittedStars, fitted_stars
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.measurements.samples import Frames, Stars
@@ -63,5 +63,5 @@ def fit(frames: Frames, stars: Stars, intrinsics: Array, lens: LensModel, gate: 
         np.zeros((len(intrinsics),) * 2), gate, own_f_sigma)
     known = catalog.load_containing(frames.catalog_id)
     number = frames.catalog_id[bundle_start.usable(frames, stars)]
-    return HeldFit(spots, adjusted, residual_tests.fitted_stars(
+    return HeldFit(spots, adjusted, fitted_stars(
         spots, adjusted, known.magnitude[known.rows(number)], lens), number)

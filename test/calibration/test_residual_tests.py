@@ -12,6 +12,7 @@ from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros import calibration
 from starcal_ros.calibration import camera_verdict, residual_tests
 from starcal_ros.calibration.bundle_adjustment import Observations, adjust
+from starcal_ros.calibration.fitted_stars import fitted_stars
 from starcal_ros.calibration.frame_sample import FrameSample
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.camera import INTRINSICS_SCALE, Detector
@@ -52,7 +53,7 @@ def fit(spots, C_si):
     estimate = CameraEstimate(adjusted.intrinsics, adjusted.covariance, len(C_si),
                               int(adjusted.used.sum()))
     magnitude = np.linspace(0.0, 6.0, len(spots.frame))
-    return residual_tests.fitted_stars(spots, adjusted, magnitude, LENS), estimate
+    return fitted_stars(spots, adjusted, magnitude, LENS), estimate
 
 
 def judged(stars, estimate, **options):

@@ -23,9 +23,10 @@ from starcal_ros.calibration import (bundle_adjustment, camera_verdict, held_cam
                                      residual_tests)
 from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
 from starcal_ros.calibration.camera_verdict import CameraVerdict
+from starcal_ros.calibration.fitted_stars import FittedStars
 from starcal_ros.calibration.lens_bundle import LensStart
 from starcal_ros.calibration.lens_choice import LensChoice
-from starcal_ros.calibration.residual_tests import Consistency, FittedStars
+from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.calibration.residual_trends import trends
 from starcal_ros.config.models import detector, star_gate
 from starcal_ros.config.parameter import ConfigError
