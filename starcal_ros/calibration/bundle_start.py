@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Observations
+from starcal_ros.calibration.bundle_problem import MIN_STARS, Observations
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.consensus import OUT_OF_PLACE, consensus

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.calibration.bundle_adjustment import Adjusted
+from starcal_ros.calibration.bundle_problem import Observations
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.lenses.model import LensModel
 

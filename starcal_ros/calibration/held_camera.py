@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.calibration import bundle_adjustment, bundle_start
-from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.calibration.bundle_adjustment import Adjusted
+from starcal_ros.calibration.bundle_problem import Observations
 from starcal_ros.calibration.fitted_stars import FittedStars, fitted_stars
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.lenses.model import LensModel

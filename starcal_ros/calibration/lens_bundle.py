@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations, adjust
+from starcal_ros.calibration.bundle_adjustment import Adjusted, adjust
+from starcal_ros.calibration.bundle_problem import Observations
 from starcal_ros.calibration.bundle_start import attitudes, identified
 from starcal_ros.config.models import detector, nominal_camera, own_focal_sigma_mm, star_gate
 from starcal_ros.config.scenario import Scenario

@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from starcal_ros.calibration import lens_bundle
-from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Adjusted, Observations, adjust
+from starcal_ros.calibration.bundle_adjustment import Adjusted, adjust
+from starcal_ros.calibration.bundle_problem import MIN_STARS, Observations
 from starcal_ros.calibration.bundle_start import attitudes
 from starcal_ros.calibration.lens_bundle import LensStart
 from starcal_ros.core import robust

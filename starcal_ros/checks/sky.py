@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from starcal_ros.calibration import bundle_adjustment, bundle_start
-from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.calibration.bundle_adjustment import Adjusted
+from starcal_ros.calibration.bundle_problem import Observations
 from starcal_ros.config.models import detector, intrinsics, observer, of_intrinsics, star_gate
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, robust, rotation

@@ -11,8 +11,8 @@ from scipy.stats import chi2
 
 from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros import calibration
-from starcal_ros.calibration import bundle_adjustment
-from starcal_ros.calibration.bundle_adjustment import Observations, adjust
+from starcal_ros.calibration.bundle_adjustment import adjust
+from starcal_ros.calibration.bundle_problem import BundleProblem, BundleState, Observations
 from starcal_ros.calibration.bundle_start import attitudes
 from starcal_ros.calibration.methods import bundle as bundle_method
 from starcal_ros.core import camera, rotation
@@ -289,8 +289,8 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     rng = np.random.default_rng(9)
     spots, C_si, u, star = scene(rng, 12, 60)
     unidentified, seen = without_places(spots, star)
-    problem = bundle_adjustment._Problem(unidentified, START, LENS, WIDE)
-    state = bundle_adjustment._State(START, C_si, u[seen])
+    problem = BundleProblem(unidentified, START, LENS, WIDE)
+    state = BundleState(START, C_si, u[seen])
     lost = unidentified.point == 5
     normal = problem.normal(state, np.where(lost, 0.0, 1.0 / SIGMA), problem.residual(state))
     step = normal.solve()
@@ -298,7 +298,7 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     without = unidentified._replace(point=np.where(unidentified.point > 5, unidentified.point - 1,
                                                    unidentified.point))
     without = Observations(*(part[~lost] for part in without))
-    other = bundle_adjustment._Problem(without, START, LENS, WIDE).normal(
+    other = BundleProblem(without, START, LENS, WIDE).normal(
         state._replace(points=np.delete(state.points, 5, axis=0)),
         np.full((~lost).sum(), 1.0 / SIGMA))
     np.testing.assert_allclose(normal.camera_covariance(), other.camera_covariance(), rtol=1e-6)

@@ -11,7 +11,8 @@ from scipy.stats import f as fisher, kstest
 from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros import calibration
 from starcal_ros.calibration import camera_verdict, residual_tests
-from starcal_ros.calibration.bundle_adjustment import Observations, adjust
+from starcal_ros.calibration.bundle_adjustment import adjust
+from starcal_ros.calibration.bundle_problem import Observations
 from starcal_ros.calibration.fitted_stars import fitted_stars
 from starcal_ros.calibration.frame_sample import FrameSample
 from starcal_ros.core import camera, rotation

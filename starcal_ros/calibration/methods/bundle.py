@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.calibration import residual_tests
-from starcal_ros.calibration.bundle_adjustment import MIN_STARS, Observations, adjust
+from starcal_ros.calibration.bundle_adjustment import adjust
+from starcal_ros.calibration.bundle_problem import MIN_STARS, Observations
 from starcal_ros.calibration.bundle_start import attitudes, identified
 from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import nominal_camera, own_focal_sigma_mm, star_gate, with_camera

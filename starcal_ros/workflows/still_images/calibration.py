@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from starcal_ros.calibration import (bundle_adjustment, camera_verdict, held_camera, lens_bundle,
-                                     residual_tests)
-from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.calibration import camera_verdict, held_camera, lens_bundle, residual_tests
+from starcal_ros.calibration.bundle_adjustment import Adjusted
+from starcal_ros.calibration.bundle_problem import MIN_STARS, Observations
 from starcal_ros.calibration.camera_verdict import CameraVerdict
 from starcal_ros.calibration.fitted_stars import FittedStars
 from starcal_ros.calibration.lens_bundle import LensStart
@@ -389,5 +389,5 @@ def refit(images: StillImages, stars: Stars, part: Mask, estimate: CameraEstimat
     if fitted is None:
         return None
     enough = np.bincount(frames.frame_index, np.isfinite(stars.sigma),
-                         len(frames)) >= bundle_adjustment.MIN_STARS
+                         len(frames)) >= MIN_STARS
     return Refit(tuple(np.array(images.names)[enough].tolist()), *fitted)

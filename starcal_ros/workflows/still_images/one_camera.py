@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from starcal_ros.calibration import bundle_adjustment
-from starcal_ros.calibration.bundle_adjustment import Adjusted, Observations
+from starcal_ros.calibration.bundle_adjustment import Adjusted
+from starcal_ros.calibration.bundle_problem import Observations
 from starcal_ros.calibration.lens_bundle import LensStart
 from starcal_ros.calibration.method import CameraMethod
 from starcal_ros.calibration.residual_tests import IMAGES
