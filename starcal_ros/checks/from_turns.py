@@ -10,10 +10,12 @@ import math
 import numpy as np
 
 from starcal_ros.checks.chance import SIGMAS
-from starcal_ros.checks.explanations import (BIAS_STEP, BIAS_WALK, CLOCK_DRIFT, GYRO_MATRIX,
-                                             MATRIX_NAMES, SCALE, STAMP_DRIFT, STAMPS, TIME_OFFSET,
-                                             TIME_STEP, WALK, Explained, TurnModel)
+from starcal_ros.checks.effects import (BIAS_STEP, BIAS_WALK, CLOCK_DRIFT, GYRO_MATRIX,
+                                        MATRIX_NAMES, SCALE, STAMP_DRIFT, STAMPS, TIME_OFFSET,
+                                        TIME_STEP, WALK)
+from starcal_ros.checks.explanations import TurnModel
 from starcal_ros.checks.finding import Finding
+from starcal_ros.checks.model_selection import Explained
 from starcal_ros.checks.stamps import known_difference
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
