@@ -20,8 +20,8 @@ import numpy as np
 
 from starcal_ros.config import parameter_file
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.evaluation.batch import nominal
 from starcal_ros.evaluation.consistency import mean_interval
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.noise import Noise
 from starcal_ros.filter.noise_levels import CENTROIDS, GYRO, NoiseLevel

@@ -22,7 +22,7 @@ from starcal_ros.config import models, parameter_file
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.distributions import chi2_sf
-from starcal_ros.evaluation.batch import nominal
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.results.result import word
 from starcal_ros.simulation import sensors

@@ -26,7 +26,8 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, parameters
 from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation import bounds, consistency, tasks
-from starcal_ros.evaluation.batch import Runs, nominal, run_batch, state_error
+from starcal_ros.evaluation.batch_results import Runs, run_batch
+from starcal_ros.evaluation.estimation_error import nominal, state_error
 from starcal_ros.files.output import write_text
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.error_state import Filter

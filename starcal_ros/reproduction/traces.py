@@ -35,6 +35,7 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.evaluation import batch, bounds, tasks
 from starcal_ros.evaluation.batch import BatchFrame
+from starcal_ros.evaluation.estimation_error import TrueRuns, state_error
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter
@@ -122,7 +123,7 @@ def bounds_of_second_half(scenario: Scenario) -> Array:
 def _traced(scenario: Scenario, runs: int, on_progress: Callable[[float], None]) -> Traces:
     filter_ = Filter(scenario)
     seeds = range(scenario.simulation.seed, scenario.simulation.seed + runs)
-    truth, start_ns = batch.TrueRuns.of(scenario, seeds), Motion.from_scenario(scenario).start_ns
+    truth, start_ns = TrueRuns.of(scenario, seeds), Motion.from_scenario(scenario).start_ns
     count = batch.frame_count(scenario)
     every = max(1, count // SAMPLES)
     last_minutes = count - round(REPROJECTION_S * scenario.star_tracker.rate_hz)
@@ -140,7 +141,7 @@ def _traced(scenario: Scenario, runs: int, on_progress: Callable[[float], None])
             drift = rotation.log(true.C_gi.T @ alone @ np.swapaxes(first_error, -1, -2))
             root = belief.state_root
             samples.append((
-                time, batch.state_error(estimate, true), belief.sigma, equivalent_sigma(
+                time, state_error(estimate, true), belief.sigma, equivalent_sigma(
                     root, estimate.intrinsics, filter_.detector.pitch_mm),
                 coupling(root @ np.swapaxes(root, -1, -2)), drift))
         if step.number >= last_minutes:

@@ -19,7 +19,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import ARCSEC, DEG_PER_HOUR, NS
-from starcal_ros.evaluation.batch import nominal
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import N_STATES, SCALE

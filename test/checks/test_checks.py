@@ -14,7 +14,7 @@ from starcal_ros.checks.finding import Finding, proposed
 from starcal_ros.config import parameter_file
 from starcal_ros.config.models import mounting_matrix
 from starcal_ros.core import camera, rotation
-from starcal_ros.evaluation.batch import nominal
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.recording import reader
 from starcal_ros.reproduction import mistake_trial
 from starcal_ros.reproduction.mistake_trial import KnownRecording

@@ -12,8 +12,9 @@ from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.evaluation import bounds, consistency, montecarlo
 from starcal_ros.evaluation.augmented import true_values
-from starcal_ros.evaluation.batch import TrueRuns, run_batch
+from starcal_ros.evaluation.batch_results import run_batch
 from starcal_ros.evaluation.bounds import cramer_rao
+from starcal_ros.evaluation.estimation_error import TrueRuns
 from starcal_ros.filter import arithmetic, reference
 from starcal_ros.filter.acquisition import AcquisitionError
 from starcal_ros.filter.augmentation import Augmentation

@@ -17,7 +17,7 @@ from starcal_ros import cli
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.evaluation import montecarlo, tasks
-from starcal_ros.evaluation.batch import Runs, run_batch
+from starcal_ros.evaluation.batch_results import Runs, run_batch
 from starcal_ros.evaluation.montecarlo import BATCH, MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.reproduction import wrong_models

@@ -10,7 +10,7 @@ from instruments import TAN2018, calibrated
 from starcal_ros.config.models import detector, intrinsics, mounting_matrix
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC
-from starcal_ros.evaluation import batch
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter.curvature import REPEATS, Curvature
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.measurements.samples import Stars
@@ -99,7 +99,7 @@ def drawn(seed):
 def nees(seed):
     scenario = drawn(seed)
     calibrator = calibrated(scenario)
-    truth = batch.nominal(Truth.from_scenario(scenario), calibrator.stamp_ns)
+    truth = nominal(Truth.from_scenario(scenario), calibrator.stamp_ns)
     return float(calibrator.belief.nees(truth))
 
 

@@ -12,7 +12,7 @@ from instruments import INTRINSICS, PITCH_MM, TAN2018
 from starcal_ros.config.scenario import from_flat
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC, DEG, DEG_PER_HOUR
-from starcal_ros.evaluation.batch import run_batch
+from starcal_ros.evaluation.batch_results import run_batch
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 from instruments import DETECTOR, TAN2018, calibrated, failed
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core import kalman
-from starcal_ros.evaluation.batch import nominal
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter import noise_search
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.likelihood import BEGIN_S, Likelihood, log_det

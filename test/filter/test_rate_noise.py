@@ -15,7 +15,7 @@ from instruments import TAN2018, calibrated, failed
 from starcal_ros.config import presets
 from starcal_ros.core import rotation
 from starcal_ros.core.kalman import Evidence
-from starcal_ros.evaluation.batch import nominal
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter import hypotheses
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.rate_noise import NoiseMoments

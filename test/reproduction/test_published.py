@@ -15,7 +15,9 @@ from rich.console import Console
 from instruments import CONFIG, REAL_SKY, TAN2018
 from starcal_ros import cli, report
 from starcal_ros.core.units import ARCSEC
-from starcal_ros.evaluation import batch, bounds, montecarlo
+from starcal_ros.evaluation import bounds, montecarlo
+from starcal_ros.evaluation.batch_results import run_batch
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import CALIBRATED, PSI, STATE_NAMES, UNIT
 from starcal_ros.reproduction import published, real_images, sky_cases, traces
@@ -152,7 +154,7 @@ def test_first_errors_are_made_smaller_and_the_truth_stays():
     near = open_loop.nearer(SCENARIO, 0.25)
     truth = Truth.from_scenario(SCENARIO)
     np.testing.assert_allclose(Truth.from_scenario(near).vector(), truth.vector(), rtol=1e-15)
-    true = batch.nominal(truth, truth.motion.start_ns)
+    true = nominal(truth, truth.motion.start_ns)
     whole, part = (dataclasses.replace(Filter(scenario).start, C_gi=true.C_gi).minus(true)
                    for scenario in (SCENARIO, near))
     np.testing.assert_allclose(part[CALIBRATED], 0.25 * whole[CALIBRATED], rtol=1e-9, atol=1e-18)
@@ -165,7 +167,7 @@ def test_open_loop_is_wrong_by_the_square_of_the_first_errors():
     wrong = []
     for part in (1.0, 2.0 / 3.0):
         near = open_loop.nearer(scenario, part)
-        feedback, plain = (batch.run_batch(case, [1]).error[0, -1] for case in (
+        feedback, plain = (run_batch(case, [1]).error[0, -1] for case in (
             near, near.replace({'estimator.feedback': False})))
         wrong.append(plain - feedback)
     p1, p2 = (STATE_NAMES.index(name) for name in ('p1', 'p2'))

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from instruments import TAN2018
 from starcal_ros.core.units import ARCSEC, DEG_PER_SQRT_HOUR
-from starcal_ros.evaluation.batch import run_batch
+from starcal_ros.evaluation.batch_results import run_batch
 from starcal_ros.reproduction import traces
 from starcal_ros.reproduction.published.fig5 import bias_drift
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from starcal_ros.config import truth
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import montecarlo
-from starcal_ros.evaluation.batch import Runs
+from starcal_ros.evaluation.batch_results import Runs
 from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.reproduction.outcome import Outcome

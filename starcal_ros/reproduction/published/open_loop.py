@@ -24,7 +24,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.units import DEG_PER_HOUR
 from starcal_ros.evaluation import consistency, montecarlo
-from starcal_ros.evaluation.batch import Runs
+from starcal_ros.evaluation.batch_results import Runs
 from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import montecarlo
-from starcal_ros.evaluation.batch import run_batch
+from starcal_ros.evaluation.batch_results import run_batch
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, STATE_UNITS, UNIT
 from starcal_ros.reproduction.outcome import Outcome
 from starcal_ros.reproduction.published import BESIDE, BIAS_BELOW_BOUND, NOT_STATED

@@ -23,7 +23,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
-from starcal_ros.evaluation.batch import nominal
+from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.evaluation.tasks import complete
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.recording import reader
