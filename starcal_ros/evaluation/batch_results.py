@@ -19,9 +19,9 @@ from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.evaluation.batch import BatchFrame, follow, frame_count
 from starcal_ros.evaluation.estimation_error import TrueRuns, attitude_error, state_error
-from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.model_tests import ModelTests
+from starcal_ros.filter.reprojection import REPROJECTION_S
 from starcal_ros.filter.states import CALIBRATED
 from starcal_ros.filter.verdict import word
 

@@ -12,7 +12,7 @@ from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.states import EPSILON, PHI
+from starcal_ros.filter.states import EPSILON, PHI, SCALE
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import GyroSamples
 
@@ -115,3 +115,30 @@ class AttitudeTracker:
         return AttitudeTrack(samples.stamp_ns, C_gi[rows],
                              root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
                              (samples.rate - estimate.bias) @ gain.T)
+
+    def latest(self, belief: Belief, frame_ns: int, gyro: GyroSamples) -> tuple[int, Array]:
+        """Return the integrated attitude C_gi, (3, 3), at the last gyro sample, and its stamp.
+
+        Parameters
+        ----------
+        belief, frame_ns, gyro
+            As for `advance`; that of the frame where no sample is later.
+        """
+        estimate = belief.estimate
+        if not len(gyro) or gyro.stamp_ns[-1] <= frame_ns:
+            return frame_ns, estimate.C_gi
+        last = int(gyro.stamp_ns[-1])
+        pieces = preintegration.cut(gyro, np.array([frame_ns, last]), self._period_ns)
+        gain = estimate.augmentation.gain(estimate.augmented)
+        return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
+
+    def rate_covariance(self, belief: Belief | None) -> Array:
+        """Return the covariance of a rate, (3, 3) [rad^2/s^2]: of a reading, and of the bias.
+
+        Of the noise alone before anything is believed.
+        """
+        noise = np.eye(3) * (self.filter.walk**2 / (self._period_ns * NS))
+        if belief is None:
+            return noise
+        root = belief.root[EPSILON] * SCALE[EPSILON, None]
+        return noise + root @ root.T

@@ -14,7 +14,6 @@ nominal values.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
@@ -24,31 +23,26 @@ import numpy as np
 from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.core.units import NS
-from starcal_ros.filter.acquisition import WIDE, AcquisitionError, acquire, agreed, is_torn, turned
+from starcal_ros.filter.attitude_lock import AttitudeLock
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
-from starcal_ros.filter.error_state import SIGMA_ACQUIRED, Filter, Update
+from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.frame_result import Counts, FrameResult
+from starcal_ros.filter.message_queue import MessageQueue
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.noise import Noise, noise_of
 from starcal_ros.filter.ordinary_frames import OrdinaryFrames, can_do
-from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE
+from starcal_ros.filter.reprojection import Reprojection
+from starcal_ros.filter.states import CALIBRATED
 from starcal_ros.filter.trail import TrailTest
 from starcal_ros.measurements import preintegration
-from starcal_ros.measurements.gyro_buffer import GyroBuffer
-from starcal_ros.measurements.intake import FRAMES_KEPT, GYRO_KEPT_NS, Change, Intake
+from starcal_ros.measurements.intake import Change, Intake
 from starcal_ros.measurements.notices import Notices
-from starcal_ros.measurements.preintegration import GAP, Preintegrated
+from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Frames, GyroSamples, Stars
 from starcal_ros.measurements.star_directions import StarDirections
-from starcal_ros.measurements.timeline import NEVER_NS
-
-REPROJECTION_S = 600.0
-"""Time over which the reprojection error is taken, T18 Sec. 3.1 [s]."""
 
 _BATCH = 2000               # frames prepared at once
-_NAMED = 20                 # losses of the attitude that are named, at most
 
 
 class _Prepared(NamedTuple):
@@ -81,7 +75,6 @@ class Calibrator:
         self.noise = noise or noise_of(scenario)
         self._period_ns = 1e9 / scenario.gyro.rate_hz
         self._frame_period_ns = 1e9 / scenario.star_tracker.rate_hz
-        self._patience = scenario.estimator.reacquire_after_frames
         self._directions = StarDirections(scenario)
         self._notices = Notices()
         self._intake = Intake(scenario, self._notices)
@@ -98,20 +91,19 @@ class Calibrator:
         self.counts = Counts(restarts=restarts)
         self.belief: Belief | None = None
         self.stamp_ns = 0                               # of the last frame processed
-        self._gyro = GyroBuffer()
-        self._frames = Frames.empty()                   # that wait for the gyro
-        self._newest_frame_ns = NEVER_NS
+        self._queue = MessageQueue(
+            self._period_ns, self._frame_period_ns, self.counts, self._notices)
         self.consistency = self._tests()
-        self._rejected_in_a_row = self._torn_in_a_row = 0
-        self._lost = False                              # the attitude, before this frame
-        self._recent: deque[tuple[int, Array, int]] = deque()
+        self._lock = AttitudeLock(
+            self._scenario.estimator.reacquire_after_frames, self.counts, self._notices)
+        self._reprojection = Reprojection()
         self._tracker = AttitudeTracker(self.filter, self._period_ns)
 
     def use(self, options: EstimatorConfig) -> None:
         """Go on with other gates and process noise, those that may change on the way."""
         self._scenario = replace(self._scenario, estimator=options)
         self.filter = self._tracker.filter = self._filter()
-        self._patience = options.reacquire_after_frames
+        self._lock.patience = options.reacquire_after_frames
 
     def _tests(self) -> ModelTests:
         tests = ModelTests(self.filter, self._scenario.estimator.gate_probability,
@@ -142,38 +134,14 @@ class Calibrator:
     def _take(self) -> None:
         gyro, frames = self._intake.take()
         self.counts.dropped_messages += self._intake.take_dropped()
-        if len(gyro):
-            self._count_gyro(gyro)
-            self._gyro.add(gyro)
-        if len(frames):
-            self._count_frames(frames.stamp_ns)
-            self._frames = Frames.concatenate((self._frames, frames))
-
-    def _count_gyro(self, samples: GyroSamples) -> None:
-        stamps, before = samples.stamp_ns, self._gyro.newest_ns
-        self.counts.gyro += len(samples)
-        steps = stamps - np.concatenate((
-            [stamps[0] if before == NEVER_NS else before], stamps[:-1]))
-        silent = steps > GAP * self._period_ns
-        self.counts.gyro_gaps += int(silent.sum())
-        self.counts.missing_gyro += int(np.rint(steps[silent] / self._period_ns - 1).sum())
-        if silent.any():
-            self._notices.once('gap', f'gyro silent for {steps[silent][0] * NS:.3f} s before '
-                               f'{stamps[silent][0]} ns: bridged')
-
-    def _count_frames(self, stamps_ns: Ints) -> None:
-        before = stamps_ns[0] if self._newest_frame_ns == NEVER_NS else self._newest_frame_ns
-        steps = np.rint(np.diff(stamps_ns, prepend=before) / self._frame_period_ns) - 1
-        self.counts.missing_frames += int(np.maximum(steps, 0).sum())
-        self._newest_frame_ns = int(stamps_ns[-1])
+        self._queue.add(gyro, frames)
 
     def resume(self) -> None:
         """Go on from the last good belief after an error that ended `process`.
 
         What waited is dropped; see `_set_back`.
         """
-        self.counts.dropped_messages += len(self._frames)
-        self._frames, self._gyro = Frames.empty(), GyroBuffer()
+        self._queue.drop()
         self._set_back()
 
     # Going out
@@ -181,7 +149,7 @@ class Calibrator:
     @property
     def waiting(self) -> int:
         """Number of frames that wait for a gyro sample to reach them."""
-        return len(self._frames) + self._intake.waiting
+        return len(self._queue) + self._intake.waiting
 
     def take_notices(self) -> list[str]:
         """Return what happened that a user should know, once."""
@@ -198,7 +166,8 @@ class Calibrator:
         yield from self._process_reached(tracked)
         while change := self._intake.settle():
             if change is Change.RESTARTED:
-                dropped = self.counts.dropped_messages + len(self._frames)
+                self._queue.drop()
+                dropped = self.counts.dropped_messages
                 self._begin(self.counts.restarts + 1)
                 self.counts.dropped_messages = dropped
             self._take()
@@ -214,7 +183,7 @@ class Calibrator:
     @property
     def tracking(self) -> bool:
         """Whether the stars agree with the attitude: most of the last frame was used."""
-        return self.belief is not None and self._rejected_in_a_row == 0
+        return self.belief is not None and self._lock.holds
 
     def attitude_now(self) -> tuple[int, Array]:
         """Return the integrated attitude C_gi, (3, 3), at the last gyro sample, and its stamp.
@@ -222,50 +191,25 @@ class Calibrator:
         Only after a frame has given an attitude.
         """
         assert self.belief is not None
-        estimate, last = self.belief.estimate, self._gyro.newest_ns
-        if last <= self.stamp_ns:
-            return self.stamp_ns, estimate.C_gi
-        pieces = preintegration.cut(
-            self._gyro.since(self.stamp_ns), np.array([self.stamp_ns, last]), self._period_ns)
-        gain = estimate.augmentation.gain(estimate.augmented)
-        return last, preintegration.track(estimate.C_gi, pieces, estimate.bias, gain)[-1]
+        return self._tracker.latest(
+            self.belief, self.stamp_ns, self._queue.gyro.since(self.stamp_ns))
 
     @property
     def rate_covariance(self) -> Array:
         """Covariance of a rate of the track, (3, 3) [rad^2/s^2]: noise of a reading, and bias."""
-        noise = np.eye(3) * (self.filter.walk**2 / (self._period_ns * NS))
-        if self.belief is None:
-            return noise
-        root = self.belief.root[EPSILON] * SCALE[EPSILON, None]
-        return noise + root @ root.T
+        return self._tracker.rate_covariance(self.belief)
 
     @property
     def reprojection_rms_px(self) -> Array:
         """RMS residual of the stars used in the last ten minutes, u and v, (2,) [px]."""
-        squares = sum((part for _, part, _ in self._recent), np.zeros(2))
-        return np.sqrt(squares / max(sum(count for *_, count in self._recent), 1))
+        return self._reprojection.rms_px
 
     # Inside
 
     def _process_reached(self, tracked: bool) -> Iterator[FrameResult]:
-        frames = self._frames
-        if not len(frames):
-            forgotten = self._gyro.keep_last(GYRO_KEPT_NS)
-            if forgotten:
-                self._notices.once('no frames', f'no frame for {GYRO_KEPT_NS * NS:.0f} s: the '
-                                   'oldest gyro readings are dropped')
-                self.counts.dropped_messages += forgotten
-            return
-        ready = int(np.searchsorted(frames.stamp_ns, self._gyro.newest_ns, side='right'))
-        excess = max(0, len(frames) - ready - FRAMES_KEPT)
-        if excess:
-            self._notices.once('no gyro', f'{FRAMES_KEPT} frames wait for the gyro: the oldest '
-                               'are dropped')
-            self.counts.dropped_messages += excess
-        self._frames = frames[ready + excess:]
-        for low in range(0, ready, _BATCH):
-            high = min(low + _BATCH, ready)
-            yield from self._process(frames[low:high], tracked)
+        frames = self._queue.reached()
+        for low in range(0, len(frames), _BATCH):
+            yield from self._process(frames[low:low + _BATCH], tracked)
 
     def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
         prepared = self._prepared(frames)
@@ -281,14 +225,14 @@ class Calibrator:
             if result is not None:
                 yield result
             k += 1
-        self._gyro.forget_before(self.stamp_ns)
+        self._queue.gyro.forget_before(self.stamp_ns)
 
     def _prepared(self, frames: Frames) -> _Prepared:
         stars = self._directions.of(frames, self._notices)
         self.counts.unusable_stars += int(np.isinf(stars.sigma).sum())
         begin = int(frames.stamp_ns[0]) if self.belief is None else self.stamp_ns
         cuts = np.concatenate(([begin], frames.stamp_ns))
-        samples = self._gyro.since(begin)
+        samples = self._queue.gyro.since(begin)
         gyro = self._integrated(samples, cuts, self.filter.start)
         ordinary = (OrdinaryFrames(gyro, frames, self.noise.of_stars(stars))
                     if can_do(self.filter) else None)
@@ -298,8 +242,8 @@ class Calibrator:
                   ) -> tuple[list[FrameResult], int]:
         """Process the frames from the k-th on that need no second look; return how many, too."""
         belief, tests, frames = self.belief, self.consistency, prepared.frames
-        if (prepared.ordinary is None or belief is None or self._lost or self._trail_test.open
-                or self._rejected_in_a_row >= self._patience or self._as_linear
+        if (prepared.ordinary is None or belief is None or self._lock.lost
+                or self._lock.broken or self._trail_test.open or self._as_linear
                 or tests.scores is not None):
             return [], 0
         found = prepared.ordinary.advance(
@@ -322,9 +266,9 @@ class Calibrator:
                 stamp_ns, after, frames.uv_raster[own], found.residual[stars], found.chi2[stars],
                 found.accepted[stars], frames.catalog_id[own], float(found.nis[row]),
                 found.turn[row], True, track))
-            self._remember(stamp_ns, found.squares[row], int(found.used[row]))
+            self._reprojection.add(stamp_ns, found.squares[row], int(found.used[row]))
         self.stamp_ns = stamp_ns
-        self._rejected_in_a_row = self._torn_in_a_row = 0
+        self._lock.hold()
         used = int(found.used.sum())
         self._count(n, used, int(usable.sum()) - used)
         try:
@@ -357,14 +301,18 @@ class Calibrator:
         self.stamp_ns = stamp_ns
         self.counts.empty_frames += not np.isfinite(frame.sigma).any()
         acquired = self.counts.acquisitions
-        start = self._with_attitude(belief, frame, prepared.gyro.reading[k])
+        start = self._lock.begin(self.filter, belief, frame, prepared.gyro.reading[k], stamp_ns)
         if start is None:
             self.counts.frames += 1
             return None
         belief, frame = start
+        afresh = self.counts.acquisitions > acquired
+        if afresh:
+            self.consistency.found()
         try:
-            if self.counts.acquisitions == acquired:
-                belief, frame, update = self._together(belief, frame, interval)
+            if not afresh:
+                belief, frame, update = self._lock.update(
+                    self.filter, belief, frame, interval, stamp_ns)
             else:
                 update = self.filter.update(belief, frame, judged=True)
             self.consistency.meet(stamp_ns, belief.nominal, frame, update,
@@ -407,8 +355,7 @@ class Calibrator:
 
     def _set_back(self) -> None:
         """Doubt all but the calibration believed so far: attitude, and tests of the model."""
-        self._rejected_in_a_row = self._patience
-        self._torn_in_a_row = 0
+        self._lock.doubt()
         self.consistency = self._tests()
 
     def _integrated(self, samples: GyroSamples, cuts: Ints, about: Nominal) -> Preintegrated:
@@ -420,49 +367,7 @@ class Calibrator:
         if self.belief is None:
             return AttitudeTrack.empty()
         return self._tracker.advance(
-            self.belief, self.stamp_ns, self._gyro.since(self.stamp_ns), until_ns)
-
-    def _with_attitude(self, belief: Belief | None, frame: Stars, reading: Array
-                       ) -> tuple[Belief, Stars] | None:
-        """Return a belief that a frame may correct, its attitude found afresh where it is lost."""
-        lost = belief is None or self._rejected_in_a_row >= self._patience or bool(
-            (belief.tracker_sigma > SIGMA_ACQUIRED).any())
-        if belief is not None and not lost:
-            return belief, frame
-        try:
-            found = acquire(self.filter, belief, frame, reading)
-        except AcquisitionError as error:
-            self._notices.once(
-                'acquire', f'no attitude from the frame at {self.stamp_ns} ns: {error}')
-            return None if belief is None else (belief, frame)
-        self.counts.acquisitions += 1
-        self._lost = belief is not None and self._rejected_in_a_row >= self._patience
-        self._rejected_in_a_row = 0
-        self.consistency.found()
-        if belief is not None and self.counts.acquisitions <= _NAMED:
-            self._notices.say(f'attitude lost, found again at {self.stamp_ns} ns')
-        return found
-
-    def _together(self, belief: Belief, frame: Stars, interval: Preintegrated | None
-                  ) -> tuple[Belief, Stars, Update]:
-        """Update, and judge the stars by each other where their own gates can not."""
-        update = self.filter.update(belief, frame, judged=True, gyro=interval)
-        torn = update.spread <= WIDE and is_torn(frame, update)
-        self._torn_in_a_row = self._torn_in_a_row + 1 if torn else 0
-        if update.spread > WIDE:
-            belief, frame = agreed(self.filter, belief, frame)
-            update = self.filter.update(belief, frame, judged=True, gyro=interval)
-            if not update.accepted.any():
-                self._notices.once('agree', f'the stars of the frame at {self.stamp_ns} ns do not '
-                                   'agree with each other: not used')
-        # What goes on for long is noise, no turn: the gates are right then.
-        elif 0 < self._torn_in_a_row <= self._patience and (
-                stars := turned(self.filter, belief, frame)) is not None:
-            self._notices.once('turned', f'the stars of the frame at {self.stamp_ns} ns agree on '
-                               'a turn that the gyro did not see')
-            frame = stars
-            update = self.filter.update(belief, frame, gated=False, judged=True, gyro=interval)
-        return belief, frame, update
+            self.belief, self.stamp_ns, self._queue.gyro.since(self.stamp_ns), until_ns)
 
     def _answered(self, belief: Belief) -> Belief:
         """Return a belief that knows of what has changed, where that is seen after this frame."""
@@ -478,21 +383,14 @@ class Calibrator:
     def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())
         rejected = int(usable.sum()) - used
-        self._rejected_in_a_row = self._rejected_in_a_row + 1 if rejected > used else 0
         self._count(1, used, rejected)
-        if self._rejected_in_a_row == self._patience and self.counts.acquisitions < _NAMED:
-            self._notices.say(f'most stars rejected in {self._patience} frames up to '
-                              f'{self.stamp_ns} ns: the attitude is sought afresh')
-        self._remember(self.stamp_ns, np.sum(update.residual[update.accepted]**2, axis=0), used)
+        self._lock.account(used, rejected, self.stamp_ns)
+        self._reprojection.add(
+            self.stamp_ns, np.sum(update.residual[update.accepted]**2, axis=0), used)
 
     def _count(self, frames: int, used: int, rejected: int) -> None:
         self.counts.frames += frames
         self.counts.stars += used
         self.counts.rejected_stars += rejected
-        self.consistency.account(used, rejected, self._lost)
-        self._lost = False
-
-    def _remember(self, stamp_ns: int, squares: Array, used: int) -> None:
-        self._recent.append((stamp_ns, squares, used))
-        while self._recent[0][0] < stamp_ns - REPROJECTION_S / NS:
-            self._recent.popleft()
+        self.consistency.account(used, rejected, self._lock.lost)
+        self._lock.lost = False

@@ -37,8 +37,8 @@ from starcal_ros.evaluation import batch, bounds, tasks
 from starcal_ros.evaluation.batch import BatchFrame
 from starcal_ros.evaluation.estimation_error import TrueRuns, state_error
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.calibrator import REPROJECTION_S
 from starcal_ros.filter.error_state import Filter
+from starcal_ros.filter.reprojection import REPROJECTION_S
 from starcal_ros.filter.states import STATE_NAMES
 from starcal_ros.filter.verdict import equivalent_sigma
 from starcal_ros.simulation.motion import Motion

@@ -13,12 +13,11 @@ from instruments import TAN2018
 from starcal_ros.config.models import observer
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
-from starcal_ros.filter import calibrator as calibrator_module
+from starcal_ros.filter import message_queue
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PHI, PSI
 from starcal_ros.measurements import preintegration
-from starcal_ros.measurements.gyro_buffer import GyroBuffer
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.simulation import sensors
@@ -828,8 +827,7 @@ def test_gyro_without_frames_does_not_grow_without_bound():
 
 def held(calibrator):
     """Return how many readings and frames a calibrator keeps."""
-    return sum(len(value) for value in vars(calibrator).values()
-               if isinstance(value, GyroBuffer)) + calibrator.waiting
+    return len(calibrator._queue.gyro) + calibrator.waiting
 
 
 def test_frames_without_gyro_do_not_grow_without_bound(run):
@@ -850,7 +848,7 @@ def test_frames_without_gyro_do_not_grow_without_bound(run):
 
 def test_frames_that_the_gyro_has_reached_are_used_however_many(run, monkeypatch):
     """The bound, here of 9, is on those that wait alone."""
-    monkeypatch.setattr(calibrator_module, 'FRAMES_KEPT', 9)
+    monkeypatch.setattr(message_queue, 'FRAMES_KEPT', 9)
     calibrator, results = calibrated(run.gyro, run.frames)
     assert len(results) == 180 and calibrator.counts.dropped_messages == 0
 

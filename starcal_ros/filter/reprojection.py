@@ -1,0 +1,34 @@
+# Copyright 2026 starcal_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The reprojection error: RMS residual of the stars used of late, T18 Sec. 3.1."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from starcal_ros.core.arrays import Array
+from starcal_ros.core.units import NS
+
+REPROJECTION_S = 600.0
+"""Time over which the reprojection error is taken [s]."""
+
+
+class Reprojection:
+    """The residuals of the last ten minutes."""
+
+    def __init__(self) -> None:
+        self._recent: deque[tuple[int, Array, int]] = deque()
+
+    def add(self, stamp_ns: int, squares: Array, used: int) -> None:
+        """Know of a frame: the sums of its squared residuals, (2,) [px^2], of so many stars."""
+        self._recent.append((stamp_ns, squares, used))
+        while self._recent[0][0] < stamp_ns - REPROJECTION_S / NS:
+            self._recent.popleft()
+
+    @property
+    def rms_px(self) -> Array:
+        """RMS residual of the stars used, u and v, (2,) [px]."""
+        squares = sum((part for _, part, _ in self._recent), np.zeros(2))
+        return np.sqrt(squares / max(sum(count for *_, count in self._recent), 1))
