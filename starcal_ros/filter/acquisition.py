@@ -180,7 +180,7 @@ def _look(filter_: Filter, known: Belief, stars: Stars) -> tuple[Array, Mask]:
     # What the camera may do to the place of a star; a shift of all stars changes no angle.
     _, H_s, H = camera.linearize(r_s, estimate.intrinsics, pitch_mm)
     spread = np.linalg.norm(H[..., 2:] * known.sigma[LENS][2:], axis=(-2, -1)).max(initial=0.0)
-    smeared = np.hypot(1.0, np.linalg.norm(filter_.trail(estimate, H_s), axis=-1))
+    smeared = np.hypot(1.0, np.linalg.norm(filter_.model.trail(estimate, H_s), axis=-1))
     wrong_px = 6.0 * spread + 10.0 * (smeared * stars.sigma[usable]).max(initial=0.0)
     agreeing = consensus(stars.u_i[usable], r_s, wrong_px * pitch_mm / estimate.intrinsics[2])
     _require(int(agreeing.sum()), len(usable))
@@ -259,8 +259,8 @@ def _resist(filter_: Filter, prior: Belief, at: Belief, stars: Stars, trusted: M
 
 
 def _miss(filter_: Filter, nominal: Nominal, stars: Stars) -> Array:
-    uv, H, _ = filter_.predict_centroids(nominal, stars.u_i)
-    return np.linalg.norm(filter_.whitened(nominal, H, uv - stars.uv)[1], axis=-1)
+    uv, H, _ = filter_.model.predict(nominal, stars.u_i)
+    return np.linalg.norm(filter_.model.whitened(nominal, H, uv - stars.uv)[1], axis=-1)
 
 
 def _relinearised(filter_: Filter, prior: Belief, at: Belief, frame: Stars
@@ -272,12 +272,12 @@ def _relinearised(filter_: Filter, prior: Belief, at: Belief, frame: Stars
         fitted = update.belief.estimate
         step = fitted.minus(belief.nominal)
         at_last = belief.nominal
-        _, H, in_view = filter_.predict_centroids(at_last, frame.u_i)
+        _, H, in_view = filter_.model.predict(at_last, frame.u_i)
         # The error that the prior expects of the new linearisation point.
         belief = Belief(fitted, fitted.minus(prior.nominal), prior.root)
         if np.abs(step / filter_.scale).max() < _CONVERGED:
             break
-    H, residual = filter_.whitened(at_last, H, update.residual)
+    H, residual = filter_.model.whitened(at_last, H, update.residual)
     M = (H * filter_.scale) @ update.belief.root / frame.sigma[:, None, None]
     left, turned = np.linalg.eigh(np.eye(2) - M @ np.swapaxes(M, -1, -2))
     r = np.einsum('nji,nj->ni', turned, residual) / frame.sigma[:, None]

@@ -87,7 +87,7 @@ class Calibrator:
         self.noise.begin()
         self._trailing = True                           # stars, as far as is known
         self.filter = self._filter()
-        self._trail_test = TrailTest(self.filter.trails)
+        self._trail_test = TrailTest(self.filter.model.trails)
         self.counts = Counts(restarts=restarts)
         self.belief: Belief | None = None
         self.stamp_ns = 0                               # of the last frame processed

@@ -36,12 +36,7 @@ attitude is integrated with; here the estimated bias is taken off first.
 
 Delta is composed for a reference, its first-order correction made for the present bias; where that
 is larger than `LARGEST_CORRECTION` the caller composes afresh for what is believed (`strays`).
-
-While an exposure T lasts a star trails over the detector, with the rate omega_s of the camera at
-the stamp over ``l = H_s omega_s T``. Its photons spread by that beside the spot's own sigma s, so
-that the noise of a centroid grows along the trail (`simulation.errors.smear`) ::
-
-    w ~ N(0, sigma^2 (I + l l' / (12 s^2)))                                            (E.2)
+`measurement_model` says what a frame is expected to be, and how its noise grows along a trail.
 
 With feedback the nominal values are corrected after each frame and the expected error returns to
 zero, so the linear model stays valid from large initial errors; without it the filter is the
@@ -72,8 +67,10 @@ from starcal_ros.filter import arithmetic, reference
 from starcal_ros.filter.augmentation import Augmentation
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.curvature import Curvature
-from starcal_ros.filter.optional_state import OptionalState
+from starcal_ros.filter.measurement_model import MeasurementModel
+from starcal_ros.filter.optional_state import Drawn
 from starcal_ros.filter.rate_noise import NoiseMoments, steady
+from starcal_ros.filter.reference import times
 from starcal_ros.filter.states import CALIBRATED, N_STATES, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Stars
@@ -146,9 +143,6 @@ class Filter:
     def __init__(self, scenario: Scenario, covariance: Array | None = None) -> None:
         options = scenario.estimator
         self.detector = detector(scenario.camera)
-        tracker = scenario.star_tracker
-        self.trail_s = (tracker.exposure_s / (np.sqrt(12.0) * scenario.image.psf_sigma_px)
-                        if tracker.smear else 0.0)
         self.walk = scenario.gyro.arw_deg_sqrt_h * DEG_PER_SQRT_HOUR
         self.gap_acceleration = options.gap_acceleration_deg_s2 * DEG
         self.gate = star_gate(options)
@@ -170,9 +164,12 @@ class Filter:
         if covariance is not None:
             self._start_root[CALIBRATED, CALIBRATED] = kalman.root_of(
                 covariance / np.outer(SCALE[CALIBRATED], SCALE[CALIBRATED]))
-        self.curvature = Curvature(self.detector, self.start.intrinsics)
-        self.cos_field = float(np.cos(camera.field_of_view(
-            self.detector, self.start.intrinsics, _FIELD).radius))
+        field = camera.field_of_view(self.detector, self.start.intrinsics, _FIELD)
+        tracker = scenario.star_tracker
+        self.model = MeasurementModel(
+            self.detector, float(np.cos(field.radius)),
+            (tracker.exposure_s / (np.sqrt(12.0) * scenario.image.psf_sigma_px)
+             if tracker.smear else 0.0), Curvature(self.detector, self.start.intrinsics))
 
     def begin(self, C_gi: Array) -> Belief:
         """Return the belief at the first frame, from an attitude (..., 3, 3) found in it."""
@@ -200,15 +197,10 @@ class Filter:
         changed.density = np.hypot(self.density, density * SCALE[CALIBRATED])
         return changed
 
-    @property
-    def trails(self) -> bool:
-        """Whether stars are taken to trail while the camera turns."""
-        return self.trail_s > 0.0
-
     def untrailed(self) -> Filter:
         """Return the filter for stars that do not trail."""
         changed = copy(self)
-        changed.trail_s = 0.0
+        changed.model = replace(self.model, trail_s=0.0)
         return changed
 
     def as_linear(self) -> Filter:
@@ -264,8 +256,8 @@ class Filter:
         slopes = np.zeros((*batch, 3, nominal.augmentation.size))
         J_b = gyro.J[..., :3]
         if nominal.augmentation.on:
-            d = _times(gyro.gain, d)
-        turn = _times(J_b, d)
+            d = times(gyro.gain, d)
+        turn = times(J_b, d)
         for state, place, _ in nominal.augmentation.errors():
             turned = state.turned(gyro.J, d, nominal.augmented[..., place], nominal.C_sg,
                                   gyro.gain)
@@ -293,74 +285,6 @@ class Filter:
         return np.where(told, steady(
             gyro, nominal.bias, nominal.augmentation.gain(nominal.augmented), self.walk), 0.0)
 
-    def predict_centroids(self, nominal: Nominal, u_i: Array) -> tuple[Array, Array, Mask]:
-        """Return the predicted centroids and their derivatives by the states (T18 Eq. 24).
-
-        Parameters
-        ----------
-        nominal : Nominal
-            Values to predict from.
-        u_i : (..., n, 3) array
-            Apparent places.
-
-        Returns
-        -------
-        uv : (..., n, 2) array
-            Predicted centroids, without what optional states displace measured ones by [px].
-        H : (..., n, 2, 16 + m) array
-            d uv / d error, its attitude part theta.
-        in_view : (..., n) bool array
-            False for a star that lies well outside the field of view; its row means nothing.
-        """
-        return reference.predict(*self._seen(nominal), nominal.intrinsics, u_i,
-                                 self.detector.pitch_mm, self.cos_field)
-
-    def whitened(self, nominal: Nominal, H: Array, z: Array) -> tuple[Array, Array]:
-        """Return derivatives and residuals of centroids in which their noise has no direction.
-
-        Parameters
-        ----------
-        nominal : Nominal
-            Values, with the reading at the stamp.
-        H : (..., n, 2, 16 + m) array
-            From `predict_centroids`.
-        z : (..., n, 2) array
-            Of the centroids [px].
-
-        Returns
-        -------
-        H, z : arrays
-            See `reference.whitened`.
-        """
-        if not self.trail_s:
-            return H, z
-        return reference.whitened(H, z, self.trail(nominal, H[..., THETA]))
-
-    def trail(self, nominal: Nominal, H_s: Array) -> Array:
-        """Return l / (s sqrt(12)), (..., n, 2), of Eq. (E.2), from H_s (..., n, 2, 3)."""
-        return _times(H_s, self._turn_of_exposure(nominal)[..., None, :])
-
-    def _turn_of_exposure(self, nominal: Nominal) -> Array:
-        rate_g = nominal.reading - nominal.bias
-        if nominal.augmentation.on:
-            rate_g = _times(nominal.augmentation.gain(nominal.augmented), rate_g)
-        return _times(nominal.C_sg, rate_g) * self.trail_s
-
-    @staticmethod
-    def _seen(nominal: Nominal) -> tuple[Array, Array, Array]:
-        """Return the C_si of a frame, what the optional states turn it by, and their slopes."""
-        size = nominal.augmentation.size
-        slopes = np.zeros((*nominal.C_gi.shape[:-2], 3, size))
-        shift: Array = np.eye(3)
-        if size:
-            for state, place, _ in nominal.augmentation.errors():
-                looked = state.looked(nominal.augmented[..., place], nominal.C_sg,
-                                      nominal.steady)
-                if looked is not None:
-                    slopes[..., place] = shift @ looked.slope
-                    shift = shift @ looked.C
-        return shift @ nominal.C_si, shift, slopes
-
     def update(self, belief: Belief, stars: Stars, gated: bool = True, judged: bool = False,
                gyro: Preintegrated | None = None) -> Update:
         """Correct a belief with a frame (T18 Eq. 23 to 26).
@@ -380,24 +304,11 @@ class Filter:
         gyro : Preintegrated, optional
             The interval before it: what its noise does to optional states is taken out.
         """
-        nominal, batch = belief.nominal, belief.error.shape[:-1]
-        C_si, shift, slopes = self._seen(nominal)
-        runs, left_out = arithmetic.LeadingAxes(batch), np.zeros(stars.sigma.shape)
+        sight, left_out = self.model.seen(belief.nominal), np.zeros(stars.sigma.shape)
         if gated and not self.taken_as_linear:
-            left_out = self._left_out(belief, stars, C_si, left_out)
-        trail = (self._turn_of_exposure(nominal) if self.trail_s
-                 else np.zeros(nominal.bias.shape))
-        direct = self._displaced(belief, stars)
-        uv = stars.uv
-        if nominal.augmentation.on:
-            uv = uv - _times(direct, nominal.augmented[..., None, :])
-        after = arithmetic.correct(
-            runs(nominal.C_gi, 2), runs(nominal.bias, 1), runs(nominal.C_sg, 2),
-            runs(nominal.intrinsics, 1), runs(belief.error, 1), runs(belief.root, 2),
-            runs(C_si, 2), runs(shift, 2), runs(slopes, 2), runs(trail, 1), runs(stars.u_i, 2),
-            runs(uv, 2), runs(stars.sigma, 1), runs(left_out, 1), runs(direct, 3), self.scale,
-            self.detector.pitch_mm, self.cos_field, self.gate if gated else np.inf, self.feedback)
-        found = reference.Corrected(*(runs.back(part) for part in after))
+            left_out = self.model.left_out(belief, stars, sight[0], left_out)
+        found, uv = self._corrected(belief, stars, sight, left_out, self.gate if gated else np.inf)
+        nominal = belief.nominal
         if self.feedback:
             nominal = nominal.set_to(found.C_gi, found.bias, found.C_sg, found.intrinsics,
                                      found.freed)
@@ -411,6 +322,38 @@ class Filter:
                       found.spread, np.asarray(~left_out.any(axis=-1)), uv - found.residual, said,
                       drawn)
 
+    def _corrected(self, belief: Belief, stars: Stars, sight: tuple[Array, Array, Array],
+                   left_out: Array, gate: float) -> tuple[reference.Corrected, Array]:
+        """Return the correction by a frame, and its centroids (..., n, 2) as they are taken.
+
+        Parameters
+        ----------
+        belief : Belief
+        stars : Stars
+        sight : tuple of array
+            From `MeasurementModel.seen`.
+        left_out : (..., n) array
+            What the linear model leaves out of each centroid.
+        gate : float
+            Largest chi-square of a star.
+        """
+        nominal = belief.nominal
+        runs = arithmetic.LeadingAxes(belief.error.shape[:-1])
+        C_si, shift, slopes = sight
+        trail = (self.model.turn_of_exposure(nominal) if self.model.trails
+                 else np.zeros(nominal.bias.shape))
+        direct = self.model.displaced(belief, stars)
+        uv = stars.uv
+        if nominal.augmentation.on:
+            uv = uv - times(direct, nominal.augmented[..., None, :])
+        after = arithmetic.correct(
+            runs(nominal.C_gi, 2), runs(nominal.bias, 1), runs(nominal.C_sg, 2),
+            runs(nominal.intrinsics, 1), runs(belief.error, 1), runs(belief.root, 2),
+            runs(C_si, 2), runs(shift, 2), runs(slopes, 2), runs(trail, 1), runs(stars.u_i, 2),
+            runs(uv, 2), runs(stars.sigma, 1), runs(left_out, 1), runs(direct, 3), self.scale,
+            self.detector.pitch_mm, self.model.cos_field, gate, self.feedback)
+        return reference.Corrected(*(runs.back(part) for part in after)), uv
+
     def noise(self, gyro: Preintegrated) -> Array:
         """Return what `hypotheses.drawn` needs to know of the noise of an interval, (..., 2)."""
         return self.walk**2 * np.stack(np.broadcast_arrays(gyro.share, gyro.duration), axis=-1)
@@ -422,57 +365,33 @@ class Filter:
         Of ``P H' S^-1 z`` that part has the mean P b, b of `rate_noise`. Of what the covariance
         seems to lose by it nothing is known, and the score scatters by as much.
         """
-        nominal, q2 = before.nominal, self.walk**2
-        N, _ = said.explained(said.H[..., THETA] / SCALE[0])
+        nominal = before.nominal
         old = NoiseMoments(*np.moveaxis(nominal.moments, -3, 0))
         moments = old.before(np.any(nominal.steady, axis=-1), gyro.duration)
+        N, _ = said.explained(said.H[..., THETA] / SCALE[0])
         drawn = self.augmentation.drawn(
-            q2 * N, np.asarray(gyro.duration), moments, nominal.augmented)
+            self.walk**2 * N, np.asarray(gyro.duration), moments, nominal.augmented)
         P, P_after = (root @ np.swapaxes(root, -1, -2) for root in (before.root, after.root))
-        none = drawn.information / (
-            1.0 + drawn.information * np.diagonal(P, axis1=-2, axis2=-1))
-        columns = (P * np.sqrt(2.0 * none)[..., None, :])[..., N_STATES:]
-        opened = self.opened(after, -_times(P, drawn.score), columns)
+        opened, feigned = self._taken_off(after, drawn, P)
         left = np.swapaxes(np.linalg.solve(
             P[..., THETA, THETA], P_after[..., THETA, THETA]), -1, -2)
         return replace(opened, nominal=replace(
-            opened.nominal, by_noise=nominal.by_noise + none[..., N_STATES:],
+            opened.nominal, by_noise=nominal.by_noise + feigned,
             moments=np.stack(old.after(moments, left), axis=-3))), drawn.score
 
-    def _displaced(self, belief: Belief, stars: Stars) -> Array:
-        """Return how measured centroids depend on the optional states, (..., n, 2, m)."""
-        among = belief.nominal.augmentation
-        direct = np.zeros((*stars.uv.shape, among.size))
-        displacing = [(state, place) for state, place, _ in among.errors()
-                      if type(state).displaced is not OptionalState.displaced]
-        if not displacing:
-            return direct
-        uv, H, in_view = self.predict_centroids(belief.nominal, stars.u_i)
-        uv = uv - _times(H, belief.error[..., None, :])
-        spread = (H * among.scale) @ belief.root[..., None, :, :]
-        sigma = np.where(in_view, np.sqrt(0.5 * np.sum(spread**2, axis=(-2, -1))), np.inf)
-        for state, place in displacing:
-            direct[..., place] = state.displaced(uv + self.detector.centre_raster, sigma)
-        return direct
+    def _taken_off(self, after: Belief, drawn: Drawn, P: Array) -> tuple[Belief, Array]:
+        """Return a belief without what noise drew, and what information on a state was feigned.
 
-    def _left_out(self, belief: Belief, stars: Stars, C_si: Array, nothing: Array) -> Array:
-        """Return what the linear model leaves out of each centroid; most often nothing."""
-        nominal, curvature = belief.nominal, self.curvature
-        runs = arithmetic.LeadingAxes(belief.error.shape[:-1])
-        if not arithmetic.bends(
-                runs(C_si, 2), runs(stars.u_i, 2), runs(stars.sigma, 1), runs(belief.error, 1),
-                runs(belief.root, 2), runs(nominal.intrinsics, 1), curvature.shift,
-                curvature.largest, self.detector.pitch_mm, self.cos_field):
-            return nothing
-        r_s = stars.u_i @ np.swapaxes(C_si, -1, -2)
-        in_view = reference.in_view(r_s, self.cos_field)
-        usable = in_view & ~np.any(belief.error != 0.0, axis=-1, keepdims=True)
-        return curvature.left_out(
-            np.where(in_view[..., None], r_s, (0.0, 0.0, 1.0)), nominal.intrinsics,
-            belief.root[..., reference.SEEN, :] * SCALE[reference.SEEN, None],
-            np.where(usable, stars.sigma, np.inf))
-
-
-def _times(A: Array, x: Array) -> Array:
-    """Return A x, (..., n), of A (..., n, k) and x (..., k)."""
-    return (A @ x[..., None])[..., 0]
+        Parameters
+        ----------
+        after : Belief
+            After the frame.
+        drawn : Drawn
+            By the noise, of the scaled errors.
+        P : (..., n, n) array
+            Their covariance before the frame.
+        """
+        feigned = drawn.information / (
+            1.0 + drawn.information * np.diagonal(P, axis1=-2, axis2=-1))
+        columns = (P * np.sqrt(2.0 * feigned)[..., None, :])[..., N_STATES:]
+        return self.opened(after, -times(P, drawn.score), columns), feigned[..., N_STATES:]

@@ -285,7 +285,7 @@ def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Arr
     predicted, H, seen = predict(C_si, shift, slopes, intrinsics, u_i, pitch_mm, cos_field)
     H[..., LENS.stop:] += direct
     z = predicted - uv
-    H_white, innovations = H, z - _apply(H, error)
+    H_white, innovations = H, z - times(H, error[..., None, :])
     if trail.any():
         H_white, innovations = whitened(
             H, innovations, (H[..., THETA] @ trail[:, None, :, None])[..., 0])
@@ -296,7 +296,7 @@ def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Arr
     accepted = seen & np.isfinite(sigma) & (innovation.chi2 <= gate)
     step, after, nis = kalman.correct(root, innovation, accepted)
     error = error + scale * step
-    residual = _apply(H, error) - z
+    residual = times(H, error[..., None, :]) - z
     freed = np.zeros_like(error)
     if feedback:
         turn = rotation.exp(-np.stack((error[..., THETA], error[..., PSI])))
@@ -386,6 +386,6 @@ def advance(belief: Values, constants: Constants, intervals: Intervals, stars: S
     return 0
 
 
-def _apply(H: Array, x: Array) -> Array:
-    """Return H x, (..., n, 2), of H (..., n, 2, k) and x (..., k)."""
-    return (H @ x[..., None, :, None])[..., 0]
+def times(A: Array, x: Array) -> Array:
+    """Return A x, (..., n), of A (..., n, k) and x (..., k)."""
+    return (A @ x[..., None])[..., 0]

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the stars of a recording trail while the camera turns.
 
-A tracker that turns smears its stars, Eq. (E.2) of `error_state`. A recording that was simulated
-without, or whose sender's sigma holds the trail already, scatters along it as across. The data
-tell: along the trail a the whitened innovation w of a star has the variance ::
+A tracker that turns smears its stars, Eq. (E.2) of `measurement_model`. A recording that was
+simulated without, or whose sender's sigma holds the trail already, scatters along it as across.
+The data tell: along the trail a the whitened innovation w of a star has the variance ::
 
     v = 1 + m where it trails,    v = 1 / (1 + a'a) + m where it does not                 (Y.1)
 
@@ -58,12 +58,12 @@ class TrailTest:
         said = update.evidence
         if not self.open or said is None or not update.linear:
             return False
-        _, H, _ = filter_.predict_centroids(predicted, stars.u_i)
-        trail = filter_.trail(predicted, H[..., THETA])
+        _, H, _ = filter_.model.predict(predicted, stars.u_i)
+        trail = filter_.model.trail(predicted, H[..., THETA])
         moves = update.accepted & (np.sum(trail * trail, axis=-1) > _MOVES**2)
         if not moves.any():
             return False
-        along = filter_.whitened(predicted, H, trail)[1][moves]
+        along = filter_.model.whitened(predicted, H, trail)[1][moves]
         squared = np.sum(along * along, axis=-1)                # a'a / (1 + a'a)
         along = along / np.sqrt(squared)[:, None]
         z = said.z.reshape(-1, 2)[moves]

@@ -174,7 +174,7 @@ def _selected(residual: Array, variance: Array, which: Mask) -> _Residuals:
 
 def _variance(filter_: Filter, belief: Belief, u_i: Array) -> Array:
     """Return the variance of predicted centroids, (..., n, 2) [px^2]."""
-    _, H, _ = filter_.predict_centroids(belief.nominal, u_i)
+    _, H, _ = filter_.model.predict(belief.nominal, u_i)
     M = (H * filter_.scale) @ belief.root[..., None, :, :]
     return np.einsum('...i,...i->...', M, M)
 

@@ -60,7 +60,7 @@ def test_look_ahead_is_the_filter_after_each_motion(settings):
             belief = filter_.propagate(belief, Preintegrated(*(part[0] for part in turn)))
             nominal = belief.nominal
             u_i = camera.unproject(uv, nominal.intrinsics, PITCH_MM) @ nominal.C_si
-            seen, *_ = filter_.predict_centroids(nominal, u_i)
+            seen, *_ = filter_.model.predict(nominal, u_i)
             belief = filter_.update(belief, Stars(u_i, seen, np.full(25, 0.02)),
                                     gated=False).belief
         expected.append(np.append(belief.sigma, belief.augmented_sigma))

@@ -125,12 +125,12 @@ def test_a_further_state_is_one_entry(monkeypatch):
     values = replace(some_values(), augmentation=on, augmented=np.append(
         some_values().augmented, 20.0 * ARCSEC))
     u_i = places(values)
-    uv, H, _ = FILTER.predict_centroids(values, u_i)
+    uv, H, _ = FILTER.model.predict(values, u_i)
     assert H.shape == (12, 2, 27)
     for k, step in enumerate([*STEP, 1e-5]):
         error = step * np.eye(27)[k]
-        numeric = (FILTER.predict_centroids(values.without(-error), u_i)[0]
-                   - FILTER.predict_centroids(values.without(error), u_i)[0]) / (2.0 * step)
+        numeric = (FILTER.model.predict(values.without(-error), u_i)[0]
+                   - FILTER.model.predict(values.without(error), u_i)[0]) / (2.0 * step)
         if k in (0, 1, 2, *range(9, 16), 25, 26):       # what a frame depends on directly
             np.testing.assert_allclose(H[..., k], numeric, rtol=1e-5, atol=1e-5 * np.abs(
                 numeric).max())
@@ -326,9 +326,9 @@ def test_frame_with_an_offset_is_predicted_as_the_sky_of_t_plus_tau():
     later = replace(nominal, C_gi=rotation.exp(-omega_g * tau) @ nominal.C_gi,
                     augmented=np.append(nominal.augmented[:9], 0.0))
     u_i = places(nominal)
-    found, expected = (FILTER.predict_centroids(values, u_i)[0] for values in (nominal, later))
+    found, expected = (FILTER.model.predict(values, u_i)[0] for values in (nominal, later))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-    assert np.abs(found - FILTER.predict_centroids(
+    assert np.abs(found - FILTER.model.predict(
         replace(nominal, steady=np.zeros(3)), u_i)[0]).max() > 0.01       # 1e-5 rad: 0.04 px
 
 
@@ -337,8 +337,8 @@ def test_measurement_matrix_agrees_with_central_differences(state):
     """All but what the module says it leaves out: of Psi, bias and M in omega_s tau."""
     nominal, h = some_values(), STEP[state]
     axis, u_i = np.eye(26)[state], places(nominal)
-    _, H, _ = FILTER.predict_centroids(nominal, u_i)
-    more, less = (FILTER.predict_centroids(values, u_i)[0]
+    _, H, _ = FILTER.model.predict(nominal, u_i)
+    more, less = (FILTER.model.predict(values, u_i)[0]
                   for values in (nominal.without(-h * axis), nominal.without(h * axis)))
     omitted = 1.0 if MATRIX.start <= state < MATRIX.stop else 0.0     # f / d = 4e3 of 1e-4
     np.testing.assert_allclose(H[..., state], (more - less) / (2 * h), rtol=1e-9,
@@ -358,7 +358,7 @@ def test_batch_of_three_runs_equals_three_single_runs():
         return Belief(nominal.of_run(k), start.error[k], start.root[k])
 
     u_i = np.stack([places(one(k).nominal) for k in range(3)])
-    uv, _, _ = FILTER.predict_centroids(nominal, u_i)
+    uv, _, _ = FILTER.model.predict(nominal, u_i)
     frame = Stars(u_i, uv + 0.05 * np.random.default_rng(5).normal(size=uv.shape),
                   np.full((3, 12), 0.05))
     turn = Preintegrated(*(np.stack(parts) for parts in zip(*turns)))
@@ -395,7 +395,7 @@ def test_belief_of_the_16_alone_goes_through_the_same_filter():
     belief = Belief(replace(nominal, augmented=np.empty(0), augmentation=NONE), np.zeros(16),
                     kalman.marginal(some_root(), 16))
     turn, u_i = interval(turning(), with_matrix=False), places(nominal)
-    frame = Stars(u_i, FILTER.predict_centroids(belief.nominal, u_i)[0], np.full(12, 0.05))
+    frame = Stars(u_i, FILTER.model.predict(belief.nominal, u_i)[0], np.full(12, 0.05))
     plain = Filter(TAN2018)
     for step in (lambda filter_: filter_.propagate(belief, turn),
                  lambda filter_: filter_.update(belief, frame).belief):

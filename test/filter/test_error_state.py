@@ -57,7 +57,7 @@ def stars_of(nominal, n=12, seed=3, sigma=0.05, batch=()):
     """Return a frame with centroid noise that these values would measure."""
     rng = np.random.default_rng(seed + 100)
     u_i = directions(nominal, n, seed)
-    uv, _, _ = FILTER.predict_centroids(nominal, u_i)
+    uv, _, _ = FILTER.model.predict(nominal, u_i)
     return Stars(u_i, uv + sigma * rng.normal(size=uv.shape), np.full((*batch, n), sigma))
 
 
@@ -189,7 +189,7 @@ def test_measurement_matrix_agrees_with_central_differences(state):
     nominal, h = some_values(), STEP[state]
     axis = np.eye(16)[state]
     u_i = directions(nominal)
-    _, H, ahead = FILTER.predict_centroids(nominal, u_i)
+    _, H, ahead = FILTER.model.predict(nominal, u_i)
     more, less = (camera.project(u_i @ values.C_si.T, values.intrinsics, PITCH_MM)
                   for values in (nominal.without(-h * axis), nominal.without(h * axis)))
     assert ahead.all()
@@ -302,7 +302,7 @@ def test_update_is_the_textbook_Kalman_update(filter_):
     belief = Belief(truth.without(1e-6 * np.ones(16)), 1e-6 * SCALE * np.arange(16),
                     0.1 * some_root())
     frame = stars_of(truth)
-    uv, H, _ = filter_.predict_centroids(belief.nominal, frame.u_i)
+    uv, H, _ = filter_.model.predict(belief.nominal, frame.u_i)
     H = (H * SCALE).reshape(-1, 16)
     P, error = belief.root @ belief.root.T, belief.error / SCALE
     z = (uv - frame.uv).ravel() - H @ error
@@ -328,13 +328,13 @@ def test_noise_of_a_star_grows_along_its_trail_as_the_simulated_one_does():
     nominal = replace(some_values(), reading=np.array([0.6, -0.5, 0.6]) * DEG)
     u_i, omega = directions(nominal), nominal.reading - nominal.bias
     turns = rotation.exp(-omega * (star_images.instants_ns(0.2) * np.array(1e-9))[:, None])
-    uv = np.stack([FILTER.predict_centroids(replace(nominal, C_gi=turn @ nominal.C_gi), u_i)[0]
+    uv = np.stack([FILTER.model.predict(replace(nominal, C_gi=turn @ nominal.C_gi), u_i)[0]
                    for turn in turns])
     G = smear.noise_factor(uv)
     assert (np.linalg.norm(G, axis=(1, 2)) > 4.0).all()
-    _, H_s, _ = FILTER.predict_centroids(nominal, u_i)
-    H_white, first = SMEARED.whitened(nominal, H_s, G[..., 0])
-    _, second = SMEARED.whitened(nominal, H_s, G[..., 1])
+    _, H_s, _ = FILTER.model.predict(nominal, u_i)
+    H_white, first = SMEARED.model.whitened(nominal, H_s, G[..., 0])
+    _, second = SMEARED.model.whitened(nominal, H_s, G[..., 1])
     # the distortion bends and stretches a trail of 14 px by some 1e-3
     np.testing.assert_allclose(first, np.tile([1.0, 0.0], (12, 1)), atol=5e-3)
     np.testing.assert_allclose(second, np.tile([0.0, 1.0], (12, 1)), atol=5e-3)
@@ -376,7 +376,7 @@ def test_stars_over_the_whole_detector_are_in_view(settings):
     half = np.array([filter_.detector.width, filter_.detector.height]) / 2.0
     uv = half * np.stack(np.meshgrid(*2 * (np.linspace(-1.0, 1.0, 21),)), axis=-1).reshape(-1, 2)
     r_s = camera.unproject(uv, filter_.start.intrinsics, filter_.detector.pitch_mm)
-    _, _, in_view = filter_.predict_centroids(filter_.start, r_s @ filter_.start.C_si)
+    _, _, in_view = filter_.model.predict(filter_.start, r_s @ filter_.start.C_si)
     assert in_view.all()
 
 
@@ -384,7 +384,7 @@ def test_chi_square_of_a_star_is_its_innovation_in_units_of_its_own_covariance()
     truth = some_values()
     belief = Belief(truth, np.zeros(16), 0.01 * some_root())
     frame = stars_of(truth)
-    uv, H, _ = FILTER.predict_centroids(truth, frame.u_i)
+    uv, H, _ = FILTER.model.predict(truth, frame.u_i)
     update = FILTER.update(belief, frame)
     for k, z in enumerate(uv - frame.uv):
         S = H[k] @ covariance_of_theta(belief) @ H[k].T + 0.05**2 * np.eye(2)
@@ -403,7 +403,7 @@ def known(truth):
 def test_star_outside_the_gate_is_rejected_and_changes_nothing():
     truth, edge = some_values(), 0.05 * np.sqrt(FILTER.gate)
     clean = stars_of(truth)
-    clean = clean._replace(uv=FILTER.predict_centroids(truth, clean.u_i)[0])
+    clean = clean._replace(uv=FILTER.model.predict(truth, clean.u_i)[0])
     for off, rejected in ((0.99 * edge, False), (1.01 * edge, True)):
         uv = clean.uv.copy()
         uv[4, 1] += off
@@ -456,7 +456,7 @@ def test_star_is_in_view_up_to_one_and_a_half_half_diagonals(toward):
     nominal, reach = some_values(), 1.5 * 512.0 * np.sqrt(2.0) * PITCH_MM / 25.5
     tangents = np.array([[0.98], [1.04]]) * reach * np.array(toward)
     u_i = np.column_stack((tangents, np.ones(2))) @ nominal.C_si
-    assert FILTER.predict_centroids(nominal, u_i)[2].tolist() == [True, False]
+    assert FILTER.model.predict(nominal, u_i)[2].tolist() == [True, False]
 
 
 def test_star_of_infinite_sigma_is_not_used_and_gives_no_warning():
@@ -491,7 +491,7 @@ def test_feedback_and_open_loop_differ_in_second_order_only():
             attitude = truth
             for k in range(4):
                 u_i = directions(attitude, seed=k)
-                uv, _, _ = FILTER.predict_centroids(attitude, u_i)
+                uv, _, _ = FILTER.model.predict(attitude, u_i)
                 frame = Stars(u_i, uv + 0.05 * scale * noise[k], np.full(12, 0.05 * scale))
                 belief = filter_.update(belief, frame, gated=False).belief
                 belief = filter_.propagate(belief, TURN)

@@ -23,7 +23,7 @@ from starcal_ros.filter.states import SCALE
 from starcal_ros.simulation import sensors
 
 RUNS, STARS = 5, 9
-CURVATURE = Filter(TAN2018).curvature
+CURVATURE = Filter(TAN2018).model.curvature
 FUNCTIONS = ('advance', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally')
 OPTIONAL = {'estimator.augment.time_offset_sigma_s': 0.005,
             'estimator.augment.gyro_matrix_sigma_ppm': 500.0}

@@ -116,7 +116,7 @@ def test_a_star_that_is_not_used_displaces_nothing():
     u_i[0] = [0.0, 0.0, -1.0]           # behind
     belief = replace(filter_.begin(np.eye(3)), root=1e-6 * np.eye(20))
     belief = replace(belief, nominal=replace(belief.nominal, C_sg=np.eye(3)))
-    direct = filter_._displaced(belief, Stars(u_i, uv, np.array([np.inf, 0.05])))
+    direct = filter_.model.displaced(belief, Stars(u_i, uv, np.array([np.inf, 0.05])))
     assert direct.shape == (2, 2, 4) and not direct[0].any() and direct[1].any()
 
 

@@ -79,7 +79,7 @@ def test_the_scores_of_optional_states_have_the_mean_that_is_taken_off(optional)
                             np.zeros(3), 1e7, filter_.augmentation.needs_matrix).take(0)
         after, Phi = filter_.propagated(belief, turn)
         Phi = Phi * filter_.scale[:, None] / filter_.scale
-        _, _, looked = filter_._seen(after.nominal)
+        _, _, looked = filter_.model.seen(after.nominal)
         return Phi[THETA, N_STATES:] + looked, Phi[THETA, EPSILON]
 
     rest, by_bias = slopes(RATE)

@@ -19,18 +19,18 @@ def test_stars_that_do_not_trail_contradict_nothing(seed):
     calibrator = calibrated(TAN2018.replace({
         **RUN, 'truth.star_tracker.smear': False, 'simulation.seed': seed}))
     assert len(said(calibrator)) == 1 and failed(calibrator) == set()
-    assert not calibrator.filter.trails
+    assert not calibrator.filter.model.trails
 
 
 @pytest.mark.parametrize('seed', range(3))
 def test_stars_that_trail_are_believed_to(seed):
     calibrator = calibrated(TAN2018.replace({**RUN, 'simulation.seed': seed}))
     assert said(calibrator) == [] and failed(calibrator) == set()
-    assert calibrator.filter.trails
+    assert calibrator.filter.model.trails
 
 
 def test_what_is_stated_false_stays_and_a_trail_is_then_noticed():
     calibrator = calibrated(TAN2018.replace({
         **RUN, 'truth.star_tracker.smear': True, 'star_tracker.smear': False}))
     assert said(calibrator) == [] and failed(calibrator)
-    assert not calibrator.filter.trails
+    assert not calibrator.filter.model.trails
