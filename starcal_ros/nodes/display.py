@@ -21,12 +21,14 @@ from starcal_ros.nodes.base.qos import LATCHED, message_type
 from starcal_ros.nodes.base.results_listener import ResultsListener
 from starcal_ros.nodes.base.ros_messages import DRAWINGS
 
+_BEHIND = 100       # frames that wait to be drawn, on a busy machine
+
 
 class Display(ResultsListener):
     """Publish what others draw: for each frame, as soon as its residuals are heard."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__('display', **options)
+        super().__init__('display', _BEHIND, **options)
         self._offers: dict[Topic, Publisher] = {}
         for topic in display.DRAWN:
             kind = message_type(topic.type_name)

@@ -20,21 +20,31 @@ from starcal_ros.messages.topics import Topic
 from starcal_ros.nodes.base.parameters import AnsweringNode
 from starcal_ros.nodes.base.qos import message_type
 
-_LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
-                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _PASSING = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class ResultsListener(AnsweringNode):
-    """Keep what an estimator says."""
+    """Keep what an estimator says.
 
-    def __init__(self, name: str, **options: Any) -> None:
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    behind : int
+        Messages of a topic that may wait; with one, what is newest is shown.
+    options
+        Of the node.
+    """
+
+    def __init__(self, name: str, behind: int = 1, **options: Any) -> None:
         super().__init__(name, **options)
+        latched = QoSProfile(depth=behind, reliability=ReliabilityPolicy.RELIABLE,
+                             durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._seen, self._heard_s = heard.Seen(), -np.inf
         for topic in heard.TOPICS:
             self.create_subscription(
                 message_type(topic.type_name), topic.name, partial(self._take, topic),
-                _LATCHED if topic.latched else _PASSING)
+                latched if topic.latched else _PASSING)
 
     @property
     def seen(self) -> heard.Seen:
