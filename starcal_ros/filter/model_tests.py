@@ -3,15 +3,11 @@
 """Whether the frames are what the filter expects, and which effect explains it where not.
 
 A calibrator, or a batch of runs, tells of each interval and each frame; `statistics` has the tests
-of the innovations (`innovation_tests`), of effects that the model leaves out (`hypotheses`) and of
-steps (`changes`), at a constant cost a frame.
+of the innovations (`innovation_tests`), of effects that the model leaves out and of steps
+(`effect_tests`), at a constant cost a frame.
 
 A step is answered: the filter opens the covariance of what has changed, and the tests begin again.
 What calls for a second answer soon after is no step, but something else that is wrong.
-
-An effect counts against a calibration where it is beyond chance *and* does harm: the part of it
-that shifts no state by more than `HARM` of its sigma is taken off first. Over hours the data tell
-effects that are much smaller than what the calibration is good to.
 
 Frames whose prediction is less certain than the stars themselves (the first ones, and those after
 a gap) are passed over: there the linear model is not good to what is asked here.
@@ -20,22 +16,23 @@ a gap) are passed over: there the linear model is not good to what is asked here
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond, normal_beyond
+from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.statistic import ALARM, Statistic, normal_beyond
 from starcal_ros.filter import arithmetic, hypotheses
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
+from starcal_ros.filter.effect_tests import STEADY, STEPS, Effect, Weighed, told, weighed
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.frame_innovation import FrameInnovation
-from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, LARGEST_STEPS, STEP_NUMBERS
-from starcal_ros.filter.innovation_tests import (MARGIN, NOISE_TESTS, SCATTER, WINDOW,
-                                                 InnovationTests, cell_name, gated_nis)
+from starcal_ros.filter.hypotheses import CHANGING, LARGEST_STEPS
+from starcal_ros.filter.innovation_tests import (NOISE_TESTS, SCATTER, WINDOW, InnovationTests,
+                                                 gated_nis)
 from starcal_ros.filter.likelihood import Likelihood
 from starcal_ros.filter.noise_levels import Scores
+from starcal_ros.filter.reference import TurnFound
 from starcal_ros.filter.responses import WIDTH, Fit, Responses
 from starcal_ros.filter.states import N_STATES, THETA
 from starcal_ros.filter.stretch import Gained, TestSums
@@ -48,52 +45,9 @@ LEAST = 20
 """Frames before a statistic says anything."""
 BY_NOISE = 0.2
 """Part of what is known of an optional state that noise of the gyro may have feigned."""
-HARM = 0.5
-"""Shift of a state, in its sigmas, that is of no account."""
 
 SELDOM_NS = 3600 * 10**9
 """Time after a change that was answered in which there is no second answer."""
-
-
-class Effect(NamedTuple):
-    """An effect that is fitted.
-
-    Attributes
-    ----------
-    name : str
-        What it is called.
-    numbers : tuple of str
-        Its numbers, with their units.
-    place : int
-        Among all.
-    tried : int
-        Number of effects of which this is the worst.
-    """
-
-    name: str
-    numbers: tuple[str, ...]
-    place: int
-    tried: int
-
-
-class Weighed(NamedTuple):
-    """An effect, and how much it weighs.
-
-    Attributes
-    ----------
-    effect : Effect
-    counted : float
-        Twice the logarithm of the likelihood ratio, what does no harm taken off.
-    bound : float
-        What is beyond chance.
-    harm : float
-        Largest shift of a state, in its sigmas.
-    """
-
-    effect: Effect
-    counted: float
-    bound: float
-    harm: float
 
 
 class ModelTests:
@@ -199,37 +153,22 @@ class ModelTests:
         magnitude : (..., n) array
             NaN where it is not known.
         """
-        said = update.evidence
-        assert said is not None
-        responses, self._root = self._responses, update.belief.root
+        self._root = update.belief.root
         rate = (predicted.C_sg @ (predicted.reading - predicted.bias)[..., None])[..., 0]
-        runs, drawn = self._runs, None
-        if update.drawn is not None:        # by way of the optional states
-            drawn = np.swapaxes(responses.E, -1, -2) @ update.drawn[..., None]
-            self._by_noise = np.max(update.belief.told_by_noise, axis=-1)
-            self._beside = np.max(np.abs(
-                update.belief.estimate.augmented) / self._prior, axis=-1)
-        found = arithmetic.judge(
-            runs(said.z, 1), runs(said.H, 2), runs(said.M, 2), runs(said.L, 2), runs(said.root, 2),
-            runs(responses.E, 2), runs(responses.s, 2), runs(responses.information, 3),
-            runs(predicted.C_si, 2), runs(rate, 1), runs(stars.u_i, 2), runs(update.place, 2),
-            runs(stars.sigma, 1), runs(magnitude, 1), runs(update.accepted, 1),
-            runs(np.where(self._afresh, np.inf, update.spread), 0), runs(update.nis, 0),
-            self._half, runs(predicted.C_sg, 2), runs(self._noise, 1))
-        if drawn is not None:
-            responses.s[:] -= np.where(runs.back(found.judged)[..., None, None],
-                                       drawn.reshape(responses.s.shape), 0.0)
+        found = self._judged(predicted, stars, update, rate, magnitude)
         noise = np.broadcast_to(self._noise, (*self._batch, 2))
         self._noise, self._afresh = np.zeros(2), False
         # The scatter of a frame that is believed less is not what is stated.
         judged = found.judged & np.ravel(update.linear)
         self.turn = found.e[0] if judged[0] else np.full(3, np.nan)
         used = update.accepted.sum(axis=-1)
-        self.likelihood.add(np.array([stamp_ns]), used[None], runs.back(found.log_det)[None],
-                            update.nis[None])
+        self.likelihood.add(np.array([stamp_ns]), used[None],
+                            self._runs.back(found.log_det)[None], update.nis[None])
         if self.scores is not None:
+            assert update.evidence is not None
             turn = float(found.e[0] @ found.e[0]) if judged[0] else 0.0
-            self.scores.meet(said, float(update.nis) - turn, 2 * int(used) - 3, bool(judged[0]))
+            self.scores.meet(update.evidence, float(update.nis) - turn, 2 * int(used) - 3,
+                             bool(judged[0]))
         ended = False
         for k, (run, tests) in enumerate(self._tests.items()):
             if not judged[k]:
@@ -242,6 +181,33 @@ class ModelTests:
                 magnitude[run][use], float(noise[run][0]))) or ended
         if ended:
             self._keep(stamp_ns)
+
+    def _judged(self, predicted: Nominal, stars: Stars, update: Update, rate: Array,
+                magnitude: Array) -> TurnFound:
+        """Take a frame into the responses; return what it says of the turn before it."""
+        said, responses, runs = update.evidence, self._responses, self._runs
+        assert said is not None
+        drawn = self._drawn(update)     # by the responses before the frame
+        found = arithmetic.judge(
+            runs(said.z, 1), runs(said.H, 2), runs(said.M, 2), runs(said.L, 2), runs(said.root, 2),
+            runs(responses.E, 2), runs(responses.s, 2), runs(responses.information, 3),
+            runs(predicted.C_si, 2), runs(rate, 1), runs(stars.u_i, 2), runs(update.place, 2),
+            runs(stars.sigma, 1), runs(magnitude, 1), runs(update.accepted, 1),
+            runs(np.where(self._afresh, np.inf, update.spread), 0), runs(update.nis, 0),
+            self._half, runs(predicted.C_sg, 2), runs(self._noise, 1))
+        if drawn is not None:
+            responses.s[:] -= np.where(runs.back(found.judged)[..., None, None],
+                                       drawn.reshape(responses.s.shape), 0.0)
+        return found
+
+    def _drawn(self, update: Update) -> Array | None:
+        """Return what noise of the gyro adds to the scores, by way of the optional states."""
+        if update.drawn is None:
+            return None
+        belief = update.belief
+        self._by_noise = np.max(belief.told_by_noise, axis=-1)
+        self._beside = np.max(np.abs(belief.estimate.augmented) / self._prior, axis=-1)
+        return np.swapaxes(self._responses.E, -1, -2) @ update.drawn[..., None]
 
     @property
     def until_due(self) -> int:
@@ -326,10 +292,7 @@ class ModelTests:
             return ()
         fit = self._responses.fit(run)
         found = (*tests.statistics(), *(
-            Statistic(each.effect.name, each.counted, 0.0, each.bound, tests.frames,
-                      fits=_sizes(each.effect.numbers, fit, each.effect.place, each.harm),
-                      gain=float(fit.gain[each.effect.place]))
-            for each in self._effects(run, fit)))
+            each.statistic(fit, tests.frames) for each in self._effects(run, fit)))
         if np.isfinite(self._by_noise[run]):
             furthest = normal_beyond(0.5 * ALARM / len(self._prior))
             found = (*found, Statistic(
@@ -359,53 +322,17 @@ class ModelTests:
         In half of all runs that are like this one so far; infinite where it can not be told.
         """
         fit = self._responses.fit(next(iter(self._tests)))
-        for effect in self._fitted(np.zeros(len(fit.gain)))[:CELL.start + 1]:
-            yield effect, self._limit(effect, fit, effect.place)
+        for effect in told(np.zeros(len(fit.gain)), self._changes.begun)[STEADY]:
+            yield effect, effect.limit(fit, effect.place)
 
     def step_limits(self, ages_s: Sequence[float]) -> Iterator[tuple[Effect, Array]]:
         """Yield each step and the sizes, (ages, numbers), from which on it is found by an age."""
         fit = self._responses.fit(next(iter(self._tests)))
-        for state, effect in enumerate(self._fitted(np.zeros(len(fit.gain)))[CELL.start + 1:]):
+        for state, effect in enumerate(
+                told(np.zeros(len(fit.gain)), self._changes.begun)[STEPS]):
             places = [self._changes.place(state, age_s) for age_s in ages_s]
-            yield effect, np.stack([self._limit(effect, fit, place) for place in places])
-
-    @staticmethod
-    def _limit(effect: Effect, fit: Fit, place: int) -> Array:
-        bound = MARGIN * chi2_beyond(ALARM / effect.tried, max(int(fit.freedom[place]), 1))
-        return np.asarray(fit.sigma[place][:len(effect.numbers)] * np.sqrt(bound))
+            yield effect, np.stack([effect.limit(fit, place) for place in places])
 
     def _effects(self, run: tuple[int, ...], fit: Fit) -> Iterator[Weighed]:
-        """Yield the effects of which something is told."""
-        shifted = np.einsum('ngk,gk->gn', self._responses.E[run].reshape(
-            self._n, -1, WIDTH), fit.p)
-        sigma = np.linalg.norm(self._root[run], axis=-1)
-        harm = np.max(np.abs(shifted) / np.maximum(sigma, 1e-300), axis=-1)
-        counted = fit.gain * np.maximum(1.0 - HARM / np.maximum(harm, 1e-300), 0.0)**2
-        for effect in self._fitted(counted):
-            k = effect.place
-            if fit.freedom[k] > 0 and k not in self._known:
-                bound = MARGIN * chi2_beyond(ALARM / effect.tried, int(fit.freedom[k]))
-                yield Weighed(effect, float(counted[k]), bound, float(harm[k]))
-
-    def _fitted(self, counted: Array) -> list[Effect]:
-        """Return the effects to be told, of those of one kind the worst."""
-        found = [Effect(each.name, each.numbers, k, 1)
-                 for k, each in enumerate(HYPOTHESES[:CELL.start])]
-        cell = CELL.start + int(np.argmax(counted[CELL]))
-        found.append(Effect('displacement in the worst cell', tuple(
-            f'{name} {cell_name(cell - CELL.start)}' for name in HYPOTHESES[cell].numbers), cell,
-            CELL.stop - CELL.start))
-        for state, (name, numbers) in enumerate(zip(CHANGING, STEP_NUMBERS)):
-            places = len(HYPOTHESES) + state + len(CHANGING) * np.arange(
-                N_EFFECTS // len(CHANGING))
-            found.append(Effect(f'step of the {name}', numbers,
-                                int(places[np.argmax(counted[places])]),
-                                len(CHANGING) * max(self._changes.begun, 1)))
-        return found
-
-
-def _sizes(numbers: tuple[str, ...], fit: Fit, k: int, harm: float) -> str:
-    told: Mask = np.isfinite(fit.sigma[k])
-    sizes = ', '.join(f'{name} {size:+.4g} +- {sigma:.2g}' for name, size, sigma, known in zip(
-        numbers, fit.p[k], fit.sigma[k], told) if known)
-    return f'{sizes}: shifts a state by {harm:.2g} sigma'
+        return weighed(self._responses.E[run].reshape(self._n, -1, WIDTH), self._root[run], fit,
+                       self._changes.begun, self._known)
