@@ -2,10 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which extension of the model explains data that contradict it.
 
-Each `Candidate` is a set of parameters that a user could add: an optional state, random walks of
-some states, other noise levels. Those are tried to which the tests that fail point: the bank of
-`hypotheses` has followed already what each effect alone would explain, and an effect that
-explains less than `_POINTS` of what the best does points nowhere. All run over the same
+Those extensions are tried to which the tests that fail point (`candidates`). All run over the same
 stretch of the messages, the first at which the tests fail of `STRETCHES_S`, and are ranked by
 twice the logarithm of the likelihood that they add (`likelihood`) less ``k ln n``, k the numbers
 that they add to the model and n the frames: Schwarz, *Estimating the dimension of a model*, The
@@ -25,7 +22,7 @@ out once, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
@@ -35,17 +32,14 @@ import numpy as np
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
-from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
+from starcal_ros.core.statistic import ALARM, chi2_beyond
 from starcal_ros.filter import message_pass
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.calibrator import Calibrator
+from starcal_ros.filter.candidates import ADAPT, Candidate, pointed, rounded
 from starcal_ros.filter.changes import TOLD
-from starcal_ros.filter.hypotheses import (CHANGING, HYPOTHESES, MISALIGNMENTS, PHASE_U, PHASE_V,
-                                           SCALE_FACTORS, TIME)
-from starcal_ros.filter.innovation_tests import NOISE_TESTS
-from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.noise import Noise
-from starcal_ros.filter.noise_levels import CENTROIDS, GYRO, NoiseLevel
+from starcal_ros.filter.noise_levels import NoiseLevel
 from starcal_ros.filter.noise_search import Search
 from starcal_ros.filter.states import CALIBRATED
 from starcal_ros.measurements.message_source import InMemory, MessageSource, about, extent
@@ -58,40 +52,7 @@ ALIKE = 0.5
 
 MOST = 3
 """Extensions that are tried together, at most."""
-
-_WALK, _ADAPT = 'estimator.process_noise.', 'estimator.adapt'
-_TIME_S, _MATRIX_PPM = 0.01, 500.0      # initial sigmas, at least
-_PHASE_PX = 0.1         # initial sigma: a pixel has no larger error of that kind
-_WIDE = 3.0                             # sigma over the size that the bank has found
 _SIGMA = 1.1                            # ratio of two sigmas that makes no difference
-_POINTS = 0.25                          # of the best gain of the bank, for one to point
-_TURNS = ('mean of the turns', 'turns along the rate')
-
-
-class Candidate(NamedTuple):
-    """An extension that may be tried.
-
-    Attributes
-    ----------
-    name : str
-        What it is called.
-    values : mapping
-        Parameters to add.
-    numbers : int
-        Numbers that it adds to the model.
-    sought : tuple of str
-        Parameters among them, or noise levels, whose value the data are to tell.
-    """
-
-    name: str
-    values: Mapping[str, Any]
-    numbers: int
-    sought: tuple[str, ...] = ()
-
-    @property
-    def is_cause(self) -> bool:
-        """Whether it says what happens, and not only how much is unexplained."""
-        return not self.sought
 
 
 class Tried(NamedTuple):
@@ -186,7 +147,7 @@ def explain(source: MessageSource, scenario: Scenario, calibrated: Calibrator,
         Called now and then with the part done, 0 to 1.
     """
     statistics = calibrated.consistency.statistics()
-    candidates = list(_pointed(statistics, scenario, calibrated.consistency))
+    candidates = list(pointed(statistics, scenario, calibrated.consistency))
     if not candidates:
         return Explanations((), (), False, 0.0)
     since = [each.since_ns for each in statistics if each.since_ns is not None]
@@ -201,7 +162,7 @@ def explain(source: MessageSource, scenario: Scenario, calibrated: Calibrator,
     trials = _Trials(part, scenario, covariance, base)
     together: tuple[Candidate, ...] = ()
     for step in range(MOST):
-        trials.levels |= {key for each in candidates if each.values.get(_ADAPT)
+        trials.levels |= {key for each in candidates if each.values.get(ADAPT)
                           for key in each.sought}
         for k, candidate in enumerate(candidates):
             trials.attempt((*together, candidate))
@@ -211,7 +172,7 @@ def explain(source: MessageSource, scenario: Scenario, calibrated: Calibrator,
             break
         together = base_of_more.parts
         tests = base_of_more.run.consistency
-        candidates = [each for each in _pointed(
+        candidates = [each for each in pointed(
             tests.statistics(), scenario.replace(base_of_more.tried.values), tests)
             if each.name not in {one.name for one in together}]
     for each in together if len(together) > 1 else ():
@@ -248,18 +209,18 @@ class _Trials:
         if name in {each.tried.name for each in self.found}:
             return
         values = {key: value for each in parts for key, value in each.values.items()
-                  if key != _ADAPT}
+                  if key != ADAPT}
         walks = [key for each in parts if not each.values for key in each.sought]
         if walks:
             search = Search(self._part, self._scenario.replace(values), walks, self._covariance,
                             brief=True)
-            values |= {key: _rounded(value) for key, value in search.values.items()}
-        noises = [key for each in parts if each.values.get(_ADAPT) for key in each.sought]
+            values |= {key: rounded(value) for key, value in search.values.items()}
+        noises = [key for each in parts if each.values.get(ADAPT) for key in each.sought]
         # What is sought is found already: the run itself has it as given.
         run = _run(self._part, self._scenario.replace(values), self._covariance, [
             each for each in self._found_levels(values) if each.key in noises] if noises else ())
         if noises:
-            values[_ADAPT] = (*self._scenario.estimator.adapt, *noises)
+            values[ADAPT] = (*self._scenario.estimator.adapt, *noises)
         gain = float(run.consistency.likelihood.twice_log
                      - self._base.consistency.likelihood.twice_log)
         numbers = sum(each.numbers for each in parts)
@@ -305,50 +266,6 @@ def frames_s(frames: Frames) -> float:
     return (int(frames.stamp_ns[-1]) - int(frames.stamp_ns[0])) * 1e-9 if len(frames) else 0.0
 
 
-def _pointed(statistics: Sequence[Statistic], scenario: Scenario, tests: ModelTests
-             ) -> Iterator[Candidate]:
-    """Yield the extensions that the failing tests may mean and that are not yet there."""
-    failed = [each for each in statistics if not each.passed]
-    most = max((each.gain for each in failed), default=0.0)
-    failing = {each.name for each in failed if not 0.0 < each.gain < _POINTS * most}
-    names = [each.name for each in HYPOTHESES]
-    augment = scenario.estimator.augment
-
-    def points(*to: str) -> bool:
-        return bool(failing & set(to))
-
-    if augment.time_offset_sigma_s is None and points(names[TIME], *_TURNS):
-        sigma_s = max(_TIME_S, _WIDE * 1e-3 * tests.size(TIME))
-        yield Candidate('time offset of the star tracker', {
-            'estimator.augment.time_offset_sigma_s': min(_rounded(sigma_s), 1.0)}, 1)
-    if augment.gyro_matrix_sigma_ppm is None and points(
-            names[SCALE_FACTORS], names[MISALIGNMENTS], *_TURNS):
-        sigma_ppm = max(_MATRIX_PPM, _WIDE * max(tests.size(SCALE_FACTORS),
-                                                 tests.size(MISALIGNMENTS)))
-        yield Candidate('scale factors and misalignments of the gyros', {
-            'estimator.augment.gyro_matrix_sigma_ppm': min(_rounded(sigma_ppm), 1e4)}, 9)
-    if augment.pixel_phase_sigma_px is None and points(names[PHASE_U], names[PHASE_V]):
-        yield Candidate('pixel phase', {'estimator.augment.pixel_phase_sigma_px': _PHASE_PX}, 4)
-    for name, key, to in (
-            ('random walk of the gyro bias', 'gyro_bias_deg_h_sqrt_h', CHANGING[:1]),
-            ('random walk of the fixed angles', 'fixed_angles_arcsec_sqrt_h', CHANGING[1:3]),
-            ('random walk of the focal length', 'focal_length_mm_sqrt_h', CHANGING[3:]),
-            ('random walk of the principal point', 'principal_point_px_sqrt_h', CHANGING[3:])):
-        if points(*(f'{kind} of the {each}' for each in to for kind in ('drift', 'step')),
-                  *(_TURNS if to == CHANGING[:1] else ())):
-            yield Candidate(name, {}, 1, (_WALK + key,))
-    of_stars = any(name.endswith('rest') for name in failing & set(NOISE_TESTS))
-    of_turns = any('turn' in name for name in failing & set(NOISE_TESTS))
-    noises: tuple[tuple[str, bool, tuple[str, ...]], ...] = (
-        ('other noise of the centroids', of_stars, (CENTROIDS,)),
-        ('other noise of the gyros', of_turns, (GYRO,)),
-        ('other noise of centroids and gyros', of_stars and of_turns, (CENTROIDS, GYRO)))
-    for name, pointed, keys in noises:
-        if pointed and not set(keys) & set(scenario.estimator.adapt):
-            yield Candidate(name, {_ADAPT: (*scenario.estimator.adapt, *keys)},
-                            len(keys), keys)
-
-
 def _run(part: MessageSource, scenario: Scenario, covariance: Array | None,
          levels: Sequence[NoiseLevel] = ()) -> Calibrator:
     calibrator = Calibrator(scenario, covariance, Noise(scenario, levels))
@@ -368,7 +285,7 @@ def _best(tried: Sequence[Tried], count: int) -> tuple[Tried, ...]:
 def _adds_to(one: Tried, other: Tried) -> bool:
     """Tell whether an extension has all that another has, and more."""
     def parts(each: Tried) -> set[str]:
-        return {*each.values.get(_ADAPT, ()), *each.values} - {_ADAPT}
+        return {*each.values.get(ADAPT, ()), *each.values} - {ADAPT}
     return parts(one) > parts(other)
 
 
@@ -386,11 +303,6 @@ def _equal(one: Belief, other: Belief) -> bool:
     a, b = one.sigma[CALIBRATED], other.sigma[CALIBRATED]
     return bool((np.abs(shift) < ALIKE * np.minimum(a, b)).all()
                 and (np.maximum(a / b, b / a) < _SIGMA).all())
-
-
-def _rounded(value: float) -> float:
-    """Return a number to two digits: what is put into a parameter file."""
-    return float(f'{value:.2g}')
 
 
 def _yaml(value: Any) -> str:

@@ -6,6 +6,7 @@ import pytest
 
 from instruments import TAN2018, calibrated, failed
 from starcal_ros.filter import explanations
+from starcal_ros.filter.candidates import pointed
 from starcal_ros.filter.explanations import Explanations, Tried, explain
 from starcal_ros.filter.offline import calibrate
 from starcal_ros.measurements.message_source import InMemory, about, extent
@@ -65,12 +66,11 @@ def test_noise_that_is_not_as_stated_points_to_the_levels_and_not_to_those_that_
     wrong = RUN.replace({'truth.star_tracker.centroid_sigma_px': 0.15})
     tests = calibrated(RUN, wrong).consistency
 
-    def pointed(scenario):
-        return {each.name: each for each in explanations._pointed(
-            tests.statistics(), scenario, tests)}
-    found = pointed(RUN)['other noise of the centroids']
+    def names(scenario):
+        return {each.name: each for each in pointed(tests.statistics(), scenario, tests)}
+    found = names(RUN)['other noise of the centroids']
     assert found.values == {'estimator.adapt': (SIGMA,)} and found.sought == (SIGMA,)
-    assert 'other noise of the centroids' not in pointed(
+    assert 'other noise of the centroids' not in names(
         RUN.replace({'estimator.adapt': (SIGMA,)}))
 
 
