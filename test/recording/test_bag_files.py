@@ -15,8 +15,7 @@ import mcap.writer
 import pytest
 from rosbags import rosbag2
 from rosbags.convert.cli import PARSER
-from test_recordings import (assert_holds_all, messages, split, write, write_with_mcap,
-                             write_with_rosbags)
+from written import assert_holds_all, messages, split, write, write_with_mcap, write_with_rosbags
 import yaml
 import zstandard
 

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from test_recordings import FRAMES, GYRO, assert_same
+from written import FRAMES, GYRO, assert_same
 import yaml
 
 from starcal_ros.messages.cdr import RecordError

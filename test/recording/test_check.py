@@ -9,7 +9,7 @@ import mcap.writer
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from test_recordings import messages, write, write_with_mcap, write_with_rosbags
+from written import messages, write, write_with_mcap, write_with_rosbags
 import yaml
 
 from instruments import EXTERNAL

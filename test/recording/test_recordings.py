@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings written, read by others, read back, and broken in every way."""
+"""Recordings written, read by others, and read back."""
 
 import hashlib
 import shutil
@@ -11,6 +11,8 @@ import mcap.writer
 import numpy as np
 import pytest
 from rosbags import rosbag2
+from written import (FRAMES, GYRO, START_NS, assert_holds_all, assert_same, messages, sensors,
+                     split, write, write_with_mcap, write_with_rosbags)
 import yaml
 
 from instruments import EXTERNAL
@@ -22,83 +24,6 @@ from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, RecordError, 
 from starcal_ros.recording.topic_choice import TopicChoice
 from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
                                           typestore)
-
-START_NS = 1_782_993_600_000_000_000
-
-
-def sensors(n=1000, seed=5):
-    """Make 100 Hz samples and 2 Hz frames with 0 to 6 stars."""
-    rng = np.random.default_rng(seed)
-    gyro = GyroSamples(START_NS + np.arange(1, n + 1) * 10**7, rng.normal(size=(n, 3)))
-    counts = rng.integers(0, 7, n // 50)
-    m = counts.sum()
-    frames = Frames(START_NS + np.arange(1, n // 50 + 1) * 500_000_000 - 3_000_000,
-                    np.concatenate(([0], np.cumsum(counts))), rng.uniform(0, 2048, (m, 2)),
-                    rng.integers(1, 9, m) / 64, rng.integers(8, 26, m) / 4,
-                    rng.integers(0, 118323, m))
-    return gyro, frames
-
-
-GYRO, FRAMES = sensors()
-
-
-def write(path, gyro=GYRO, frames=FRAMES, gyro_topic=GYRO_TOPIC, frames_topic=FRAMES_TOPIC):
-    """Write a recording with two attachments."""
-    with Writer(path) as writer:
-        writer.attach('config.yaml', b'a: 1\n', 'application/yaml')
-        writer.write_batches(imu_batch(gyro_topic, gyro), centroids_batch(frames_topic, frames))
-        writer.attach('truth.json', b'{}', 'application/json')
-    return path
-
-
-def messages():
-    """Return (topic, type, log time, CDR) of all messages in the order of time."""
-    rows = [(GYRO_TOPIC, IMU_TYPE, t, row.tobytes())
-            for t, row in zip(GYRO.stamp_ns.tolist(), encode_imu(GYRO))]
-    rows += [(FRAMES_TOPIC, CLOUD_TYPE, t, data)
-             for t, data in zip(FRAMES.stamp_ns.tolist(), encode_centroids(FRAMES))]
-    return sorted(rows, key=lambda row: row[2])
-
-
-def write_with_mcap(path, rows, **options):
-    """Write messages with the library of MCAP itself."""
-    with path.open('wb') as stream:
-        writer = mcap.writer.Writer(stream, **options)
-        writer.start('ros2', 'test')
-        channels = {}
-        for topic, type_name, log_time, data in rows:
-            if topic not in channels:
-                schema = writer.register_schema(type_name, 'ros2msg', b'')
-                channels[topic] = writer.register_channel(topic, 'cdr', schema)
-            writer.add_message(channels[topic], log_time, data, log_time)
-        writer.finish()
-    return path
-
-
-def write_with_rosbags(path, rows, prepare=lambda bag: None, **options):
-    """Write messages as a rosbag2 directory."""
-    bag = rosbag2.Writer(path, version=9, **options)
-    prepare(bag)
-    with bag:
-        topics = {}
-        for topic, type_name, log_time, data in rows:
-            if topic not in topics:
-                topics[topic] = bag.add_connection(topic, type_name, typestore=typestore())
-            bag.write(topics[topic], log_time, data)
-    return path
-
-
-def assert_same(one, other):
-    """Compare samples or frames, NaN equal to NaN."""
-    for name in vars(one):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-
-
-def assert_holds_all(recording, warnings=()):
-    """Check that a recording is that of `sensors`."""
-    assert_same(recording.gyro, GYRO)
-    assert_same(recording.frames, FRAMES)
-    assert recording.warnings == warnings
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -327,19 +252,6 @@ def test_a_compressed_rosbag2_directory_is_read(tmp_path, storage, mode):
     assert [row.count for row in summary(path).topics] == [len(GYRO), len(FRAMES)]
 
 
-def split(path, names=('a.mcap', 'b.mcap', 'c.mcap')):
-    """Make a rosbag2 directory of several files."""
-    path.mkdir()
-    rows = messages()
-    for k, name in enumerate(names):
-        part = rows[k * len(rows) // len(names):(k + 1) * len(rows) // len(names)]
-        write_with_mcap(path / name, part)
-    (path / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': {
-        'version': 9, 'storage_identifier': 'mcap', 'compression_mode': '',
-        'relative_file_paths': list(names)}}))
-    return path
-
-
 def test_a_split_bag_is_read_in_the_order_of_recording(tmp_path):
     path = split(tmp_path / 'bag')
     assert_holds_all(read(path))
@@ -461,148 +373,6 @@ def test_a_topic_of_another_type_is_an_error_that_names_it(tmp_path):
 def test_a_topic_without_messages_is_no_samples(tmp_path):
     recording = read(write(tmp_path / 'run.mcap', frames=Frames.empty()))
     assert len(recording.frames) == 0 and len(recording.gyro) == len(GYRO)
-
-
-def test_a_broken_message_is_an_error_that_names_its_topic(tmp_path):
-    rows = [(topic, kind, t, data[:50] if t == GYRO.stamp_ns[77] else data)
-            for topic, kind, t, data in messages()]
-    with pytest.raises(RecordError, match='/imu/data_raw: a message of 50 bytes is cut short'):
-        read(write_with_mcap(tmp_path / 'run.mcap', rows))
-
-
-@pytest.mark.parametrize('content, message', [
-    (None, 'does not exist'), (b'', 'it has 0 bytes'), (b'abc', 'it has 3 bytes'),
-    (bytes(1000), 'is not an MCAP file: it starts with'),
-    (b'SQLite format 3\0' + bytes(100), 'is not an MCAP file'),
-    (b'\x89MCAP0\r\n', 'has no topic /imu/data_raw; it has no topics'),
-    (b'\x89MCAP0\r\n' + bytes(range(1, 256)), 'it has no topics')])
-def test_what_is_no_recording_is_an_error_in_one_line(tmp_path, content, message):
-    path = tmp_path / 'run.mcap'
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(RecordError, match=message) as caught:
-        read(path)
-    assert '\n' not in str(caught.value) and str(path) in str(caught.value)
-
-
-@pytest.mark.parametrize('metadata, message', [
-    ('{', 'cannot be read as the metadata of a rosbag2 directory'),
-    ('a: 1', "KeyError 'rosbag2_bagfile_information'"),
-    ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: [gone.mcap]}',
-     'names files that are missing: gone.mcap'),
-    ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: ['
-     + 'x' * 400 + ']}', 'names files that are missing: xxx'),
-    ('rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: []}',
-     'names no files'),
-    ('rosbag2_bagfile_information: {storage_identifier: tape, relative_file_paths: [run.mcap]}',
-     'cannot be read')])
-def test_a_directory_that_is_no_bag_is_an_error_in_one_line(tmp_path, metadata, message):
-    write(tmp_path / 'run.mcap')
-    (tmp_path / 'metadata.yaml').write_text(metadata)
-    with pytest.raises(RecordError, match=message) as caught:
-        read(tmp_path)
-    assert '\n' not in str(caught.value)
-
-
-def test_a_broken_database_is_an_error_in_one_line(tmp_path):
-    path = write_with_rosbags(tmp_path / 'bag', messages(),
-                              storage_plugin=rosbag2.StoragePlugin.SQLITE3)
-    database = path / 'bag.db3'
-    database.write_bytes(database.read_bytes()[:5000])
-    with pytest.raises(RecordError, match='cannot be read') as caught:
-        read(path)
-    assert '\n' not in str(caught.value)
-
-
-def test_a_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path):
-    whole = write(tmp_path / 'run.mcap').read_bytes()
-    cut = tmp_path / 'cut.mcap'
-    kept = []
-    for size in np.linspace(len(whole) // 5, len(whole) - 9, 60).astype(int):
-        cut.write_bytes(whole[:size])
-        recording = read(cut)
-        assert any('breaks off at byte' in text for text in recording.warnings)
-        assert_same(recording.gyro, GYRO[:len(recording.gyro)])
-        assert_same(recording.frames, FRAMES[:len(recording.frames)])
-        kept.append(len(recording.gyro))
-    assert kept == sorted(kept) and kept[0] > 100 and kept[-1] == len(GYRO)
-
-
-def test_a_cut_file_without_chunks_keeps_every_whole_message(tmp_path):
-    path = write_with_mcap(tmp_path / 'run.mcap', messages(), use_chunking=False)
-    path.write_bytes(path.read_bytes()[:200_000])
-    recording = read(path)
-    assert 500 < len(recording.gyro) < len(GYRO)
-    assert_same(recording.gyro, GYRO[:len(recording.gyro)])
-
-
-def test_a_damaged_chunk_is_left_out_and_named(tmp_path):
-    path = write(tmp_path / 'run.mcap')
-    with path.open('rb') as stream:
-        chunk = make_reader(stream).get_summary().chunk_indexes[4]
-    data = bytearray(path.read_bytes())
-    data[chunk.chunk_start_offset + chunk.chunk_length - 20] ^= 0xff
-    path.write_bytes(data)
-    recording = read(path)
-    inside = ((GYRO.stamp_ns >= chunk.message_start_time)
-              & (GYRO.stamp_ns <= chunk.message_end_time))
-    np.testing.assert_array_equal(recording.gyro.rate, GYRO.rate[~inside])
-    damaged, gyro_lost, frames_lost = recording.warnings
-    assert f'the chunk at byte {chunk.chunk_start_offset} is left out' in damaged
-    assert gyro_lost == f'{(~inside).sum()} of 1000 messages on /imu/data_raw could be read'
-    assert frames_lost.endswith('of 20 messages on /star_tracker/centroids could be read')
-
-
-def test_a_wrong_message_index_is_replaced_by_a_scan(tmp_path):
-    path = write(tmp_path / 'run.mcap')
-    with path.open('rb') as stream:
-        chunk = make_reader(stream).get_summary().chunk_indexes[4]
-    data = bytearray(path.read_bytes())
-    index = chunk.chunk_start_offset + chunk.chunk_length + 9 + 6
-    data[index + 8:index + 16] = (12345).to_bytes(8, 'little')
-    path.write_bytes(data)
-    recording = read(path)
-    assert_same(recording.gyro, GYRO)
-    warning, = recording.warnings
-    assert 'the message index is wrong' in warning
-
-
-def test_messages_that_the_index_leaves_out_are_missed_by_the_statistics(tmp_path):
-    path = write(tmp_path / 'run.mcap')
-    with path.open('rb') as stream:
-        chunk = make_reader(stream).get_summary().chunk_indexes[4]
-    data = bytearray(path.read_bytes())
-    index = chunk.chunk_start_offset + chunk.chunk_length + 9 + 2
-    n_bytes = int.from_bytes(data[index:index + 4], 'little')
-    data[index:index + 4] = (n_bytes - 16).to_bytes(4, 'little')
-    path.write_bytes(data)
-    warning, = read(path).warnings
-    assert "by the file's statistics /imu/data_raw has 1000 messages, by its chunks 999" in warning
-
-
-def test_random_damage_costs_data_and_a_warning_or_is_an_error_in_one_line(tmp_path):
-    rng = np.random.default_rng(8)
-    whole = np.frombuffer(write(tmp_path / 'run.mcap').read_bytes(), np.uint8)
-    path = tmp_path / 'damaged.mcap'
-    for _ in range(300):
-        data = whole.copy()
-        data[rng.integers(8, len(data), 4)] = rng.integers(0, 256, 4)
-        path.write_bytes(data)
-        try:
-            recording = read(path)
-            summary(path)
-        except RecordError:
-            continue
-        assert np.isin(recording.gyro.stamp_ns, GYRO.stamp_ns).all()
-        assert recording.warnings or len(recording.gyro) == len(GYRO)
-
-
-def test_a_damaged_attachment_is_left_out(tmp_path):
-    path = write(tmp_path / 'run.mcap')
-    path.write_bytes(path.read_bytes().replace(b'a: 1\n', b'a: 7\n'))
-    recording = read(path)
-    assert set(recording.attachments) == {'truth.json'}
-    assert 'is garbled and left out' in recording.warnings[0]
 
 
 def test_the_summary_tells_what_a_recording_holds(tmp_path):

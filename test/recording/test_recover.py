@@ -8,8 +8,8 @@ from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from test_recordings import (FRAMES, GYRO, START_NS, assert_holds_all, messages, write,
-                             write_with_mcap, write_with_rosbags)
+from written import (FRAMES, GYRO, START_NS, assert_holds_all, messages, write, write_with_mcap,
+                     write_with_rosbags)
 import yaml
 
 from instruments import TAN2018
