@@ -27,6 +27,7 @@ def camera(tmp_path_factory):
         folder / 'camera.html').read_text()
 
 
+@pytest.mark.slow
 def test_tutorial_has_the_camera_that_its_command_gives(camera):
     outcome, _ = camera
     row = re.search(r'\| f \[px\] \| ([\d.]+) \| ([\d.]+) \|', TEXT)
@@ -40,6 +41,7 @@ def test_tutorial_has_the_camera_that_its_command_gives(camera):
     assert outcome['counts']['stars'] == pytest.approx(stars, rel=0.02)
 
 
+@pytest.mark.slow
 def test_camera_agrees_with_what_other_code_found(camera):
     other, sigma = (float(word) for word in re.search(
         r'f = (\d+\.\d+) ± (\d+\.\d+)', TEXT).groups())
@@ -47,6 +49,7 @@ def test_camera_agrees_with_what_other_code_found(camera):
     assert abs(camera[0]['f_px'] - other) < 3.0 * (sigma**2 + own**2)**0.5
 
 
+@pytest.mark.slow
 def test_verdict_and_the_wave_over_the_pixel_are_as_told(camera):
     outcome, page = camera
     assert outcome['verdict'] == 'inconsistent' and 'Verdict: inconsistent' in TEXT

@@ -296,6 +296,7 @@ def test_without_numba_the_reference_runs():
     subprocess.run([sys.executable, '-c', program], check=True)
 
 
+@pytest.mark.slow
 def test_a_compilation_is_said_once(tmp_path):
     """With a cache that lacks one function, then with what the first process left in it."""
     own = _CacheLocator.get_suitable_cache_subpath(kernel.__file__)

@@ -216,6 +216,7 @@ def wait_until_it_waits(publisher: subprocess.Popen) -> None:
     assert any('a subscriber is behind' in line for line in publisher.stderr)
 
 
+@pytest.mark.slow
 def test_stop_interrupts_a_publisher_that_waits(processes):
     processes.listen(10**6, 1000.0)
     publisher = processes.start(PUBLISHER, 10**6, 0, 1)
@@ -235,6 +236,7 @@ def test_latched_message_reaches_the_others_where_one_takes_nothing(processes):
     assert (publisher_matched, heard['missing']) == ('matched\n', 0)
 
 
+@pytest.mark.slow
 def test_dead_subscriber_does_not_stall_the_publisher_forever(processes, tmp_path, monkeypatch):
     profile = tmp_path / 'lease.xml'
     profile.write_text(SHORT_LEASE)

@@ -79,6 +79,7 @@ def sky():
     return sensors.star_tracker(deep).next(FRAMES)
 
 
+@pytest.mark.slow
 def test_images_lead_to_an_attitude_and_to_the_right_numbers(start, parameters, peer):
     """As fast as it goes, each node a process: no frame is lost and no number wrong."""
     truth, stars = (listen(peer, PointCloud2, topic)

@@ -130,6 +130,7 @@ def test_viewers_see_the_run_and_are_one_subscriber_of_the_estimator(run, peer):
     assert 'Traceback' not in run.end()
 
 
+@pytest.mark.slow
 def test_a_browser_follows_the_run_until_the_estimator_is_gone(run, tmp_path):
     stamp = "document.getElementById('stamp').textContent"
     with browsing(tmp_path / 'browser') as tab:

@@ -477,6 +477,7 @@ def test_browser_prints_the_page_without_an_error(folder):
     assert (folder / 'report.pdf').read_bytes().startswith(b'%PDF-')
 
 
+@pytest.mark.slow
 def test_browser_gives_every_picture_a_name(folder):
     dom, _ = browse(folder, '--dump-dom', '--window-size=1280,900')
     dom = re.sub(r'<script.*?</script>', '', dom, flags=re.S)

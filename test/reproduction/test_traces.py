@@ -37,6 +37,7 @@ def test_residuals_have_the_variance_that_the_filter_states(trace, held_out):
     assert value == pytest.approx(1.0, abs=1e-3 + 4.0 * sigma)
 
 
+@pytest.mark.slow
 def test_stars_held_out_are_missed_by_more_than_those_used(trace):
     """Of 48 coordinates three are spent on the attitude: 1 - 3 / 48 against 1 + 3 / 38."""
     used, held_out = (np.mean(trace.residual[trace.held_out == part]**2)

@@ -53,6 +53,7 @@ def test_a_file_tells_the_field_and_may_be_wrong(images, told, monkeypatch):
     assert is_right(found) and found['left_out'] == {}
 
 
+@pytest.mark.slow
 def test_a_wide_field_is_found_without_a_word(images):
     """64 deg, a phone."""
     true = {**TRUE, 'f_px': 512.0, 'k1': -0.02, 'k2': 0.0}
