@@ -210,7 +210,6 @@ def test_what_is_no_image_is_said_once_a_kind_and_counted(start, parameters, pee
     assert peer.diagnostics[-1].status[0].name == 'starcal: centroids'
 
 
-@pytest.mark.slow
 def test_compressed_images_have_the_spots_of_the_raw_ones(start, parameters, peer):
     spots = listen(peer, PointCloud2, 'star_tracker/spots')
     start('centroid_extractor', *parameters, '-r', 'star_tracker/image_raw:=/camera/image',

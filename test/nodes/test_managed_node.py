@@ -32,6 +32,7 @@ from starcal_ros.messages import conventions, topics  # noqa: E402
 from starcal_ros.nodes.base import run_loop  # noqa: E402
 from starcal_ros.nodes.base.matched_subscription import BACKLOG_S  # noqa: E402
 from starcal_ros.nodes.base.matched_subscription import MatchedSubscription  # noqa: E402
+from starcal_ros.nodes.estimator import Estimator  # noqa: E402
 from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.mcap_reader import McapFile  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
@@ -176,6 +177,15 @@ def test_signal_ends_a_node_that_was_never_configured(start_once, peer):
     assert state(peer, 'waiting') == 'unconfigured'
     recorder.send_signal(signal.SIGINT)
     assert recorder.wait(PATIENCE_S) == 0
+
+
+def test_a_node_that_was_destroyed_is_not_in_the_graph_any_more(peer):
+    """Though something still refers to it, and rclpy's state machine with it."""
+    node = Estimator(cli_args=['--ros-args', '--params-file', str(CONFIG),
+                               '-r', '__node:=brief'])
+    peer.until(lambda: 'brief' in peer.node.get_node_names())
+    node.destroy_node()
+    peer.until(lambda: 'brief' not in peer.node.get_node_names())
 
 
 MANAGED = {'recorder': topics.IMU, 'estimator': topics.IMU, 'centroid_extractor': topics.IMAGES,

@@ -170,6 +170,11 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
         """True when the node has been shut down."""
         return self.state == 'finalized'
 
+    def destroy_node(self) -> None:
+        """Destroy the node, and its state machine: with that alive it stays in the graph."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()       # which rclpy leaves to chance
+
     @property
     def drained(self) -> bool:
         """True when no other node that is ending speaks to this one any more."""
