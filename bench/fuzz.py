@@ -23,8 +23,9 @@ import tempfile
 import time
 import traceback
 
-from fuzzed import damage, is_held, kinds
 import numpy as np
+
+from fuzzed import damage, is_held, kinds
 
 SLOW_S = 20
 BATCH = 1000

@@ -8,9 +8,10 @@ A run of a million is `bench/fuzz.py`.
 from pathlib import Path
 import tempfile
 
-from fuzzed import WORDS, damage, is_held, kinds
 from hypothesis import HealthCheck, given, settings, strategies as st
 import pytest
+
+from fuzzed import WORDS, damage, is_held, kinds
 
 FOLDER = Path(tempfile.mkdtemp(prefix='starcal_fuzz_'))
 KINDS = kinds(FOLDER)

@@ -13,7 +13,6 @@ import pytest
 rerun_chunk = pytest.importorskip('rerun.chunk')
 
 from estimated import record_results  # noqa: E402
-
 from instruments import TAN2018, TOP  # noqa: E402
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, UNIT  # noqa: E402
 from starcal_ros.live.display import ENLARGED  # noqa: E402

@@ -17,7 +17,6 @@ pytest.importorskip('aiohttp')
 
 from browser import browsing  # noqa: E402
 from estimated import record_results  # noqa: E402
-
 from instruments import TAN2018  # noqa: E402
 from starcal_ros.cli import main  # noqa: E402
 from starcal_ros.results import result  # noqa: E402

@@ -5,8 +5,6 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from streams import (SCENARIO, START_NS, Simulated, altered, assert_right, calibrated, simulated,
-                     without)
 
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
@@ -15,12 +13,7 @@ from starcal_ros.filter.states import CALIBRATED
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky import catalog
-
-
-@pytest.fixture(scope='module')
-def run():
-    """The run that most tests feed."""
-    return simulated()
+from streams import SCENARIO, START_NS, Simulated, altered, assert_right, calibrated, without
 
 
 @pytest.fixture(scope='module')

@@ -7,7 +7,6 @@ import time
 
 import numpy as np
 import pytest
-from streams import SCENARIO, SECOND_NS, START_NS, calibrated, simulated
 
 from starcal_ros.core import rotation
 from starcal_ros.core.units import DEG
@@ -15,12 +14,7 @@ from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import EPSILON, PHI
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import GyroSamples
-
-
-@pytest.fixture(scope='module')
-def run():
-    """The run that most tests feed."""
-    return simulated()
+from streams import SCENARIO, SECOND_NS, START_NS, calibrated
 
 
 def tracked(run, size, frames_ahead=True):

@@ -6,8 +6,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from streams import (SCENARIO, SECOND_NS, START_NS, Simulated, all_at_once, altered, assert_finite,
-                     assert_right, assert_same, calibrated, feed, simulated)
 
 from instruments import TAN2018
 from starcal_ros.config.models import observer
@@ -15,19 +13,8 @@ from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import apparent_places
-
-
-@pytest.fixture(scope='module')
-def run():
-    """The run that most tests feed."""
-    return simulated()
-
-
-@pytest.fixture(scope='module')
-def at_once():
-    """The results of all messages in one batch."""
-    return all_at_once()
-
+from streams import (SCENARIO, SECOND_NS, START_NS, Simulated, altered, assert_finite,
+                     assert_right, assert_same, calibrated, feed)
 
 # Order
 

@@ -3,24 +3,11 @@
 """What waits, and what is kept, does not grow with the hours."""
 
 import numpy as np
-import pytest
-from streams import SCENARIO, SECOND_NS, START_NS, all_at_once, calibrated, simulated
 
 from starcal_ros.filter import message_queue
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.measurements.samples import Frames, GyroSamples
-
-
-@pytest.fixture(scope='module')
-def run():
-    """The run that most tests feed."""
-    return simulated()
-
-
-@pytest.fixture(scope='module')
-def at_once():
-    """The results of all messages in one batch."""
-    return all_at_once()
+from streams import SCENARIO, SECOND_NS, START_NS, calibrated
 
 
 def test_gyro_without_frames_does_not_grow_without_bound():

@@ -6,26 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from streams import (SCENARIO, SECOND_NS, START_NS, all_at_once, assert_finite, assert_right,
-                     assert_same, calibrated, feed, simulated, without)
 
 from starcal_ros.core.units import DEG
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import PHI
 from starcal_ros.measurements.samples import Frames, GyroSamples
-
-
-@pytest.fixture(scope='module')
-def run():
-    """The run that most tests feed."""
-    return simulated()
-
-
-@pytest.fixture(scope='module')
-def at_once():
-    """The results of all messages in one batch."""
-    return all_at_once()
-
+from streams import (SCENARIO, SECOND_NS, START_NS, assert_finite, assert_right, assert_same,
+                     calibrated, feed, without)
 
 # Wrong stamps, and clocks that are set back
 

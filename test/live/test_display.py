@@ -4,10 +4,10 @@
 
 import json
 
-from estimated import record_results
 import numpy as np
 import pytest
 
+from estimated import record_results
 from instruments import INTRINSICS, TAN2018
 from starcal_ros.cli import main
 from starcal_ros.core.camera import Detector

@@ -4,10 +4,10 @@
 
 import json
 
-from estimated import record_results
 import numpy as np
 import pytest
 
+from estimated import record_results
 from instruments import TAN2018
 from starcal_ros.filter import verdict
 from starcal_ros.filter.states import CALIBRATED, UNIT

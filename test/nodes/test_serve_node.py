@@ -17,7 +17,6 @@ pytest.importorskip('rclpy')
 pytest.importorskip('aiohttp')
 
 from browser import browsing  # noqa: E402
-
 from instruments import TAN2018  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.filter.offline import calibrate  # noqa: E402

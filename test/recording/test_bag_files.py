@@ -15,7 +15,6 @@ import mcap.writer
 import pytest
 from rosbags import rosbag2
 from rosbags.convert.cli import PARSER
-from written import assert_holds_all, messages, split, write, write_with_mcap, write_with_rosbags
 import yaml
 import zstandard
 
@@ -23,6 +22,7 @@ from starcal_ros.cli import main
 from starcal_ros.files.limits import CHUNK
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, read, summary
+from written import assert_holds_all, messages, split, write, write_with_mcap, write_with_rosbags
 
 STORAGES = [*rosbag2.StoragePlugin]
 

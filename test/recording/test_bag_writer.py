@@ -11,7 +11,6 @@ from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from written import FRAMES, GYRO, assert_same
 import yaml
 
 from starcal_ros.messages.cdr import RecordError
@@ -20,6 +19,7 @@ from starcal_ros.recording.losses import Loss
 from starcal_ros.recording.mcap_check import check_file
 from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, read
 from starcal_ros.recording.writer import centroids_batch, imu_batch
+from written import FRAMES, GYRO, assert_same
 
 STEP = 10**9
 

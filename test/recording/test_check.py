@@ -9,7 +9,6 @@ import mcap.writer
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from written import messages, write, write_with_mcap, write_with_rosbags
 import yaml
 
 from instruments import EXTERNAL
@@ -18,6 +17,7 @@ from starcal_ros.messages.cdr import RecordError
 from starcal_ros.recording.check import check
 from starcal_ros.recording.mcap_check import check_file
 from starcal_ros.recording.mcap_writer import McapWriter
+from written import messages, write, write_with_mcap, write_with_rosbags
 
 
 def test_a_sound_recording_of_ours_is_sound_and_all_of_it_checked(tmp_path, capsys):

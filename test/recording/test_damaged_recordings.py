@@ -6,9 +6,9 @@ from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from written import FRAMES, GYRO, assert_same, messages, write, write_with_mcap, write_with_rosbags
 
 from starcal_ros.recording.reader import RecordError, read, summary
+from written import FRAMES, GYRO, assert_same, messages, write, write_with_mcap, write_with_rosbags
 
 
 def test_a_broken_message_is_an_error_that_names_its_topic(tmp_path):
@@ -101,12 +101,17 @@ def test_a_damaged_chunk_is_left_out_and_named(tmp_path):
     assert frames_lost.endswith('of 20 messages on /star_tracker/centroids could be read')
 
 
-def test_a_wrong_message_index_is_replaced_by_a_scan(tmp_path):
-    path = write(tmp_path / 'run.mcap')
+def indexed(folder):
+    """Return a recording, what it holds, and where the message index of its fifth chunk begins."""
+    path = write(folder / 'run.mcap')
     with path.open('rb') as stream:
         chunk = make_reader(stream).get_summary().chunk_indexes[4]
-    data = bytearray(path.read_bytes())
-    index = chunk.chunk_start_offset + chunk.chunk_length + 9 + 6
+    return path, bytearray(path.read_bytes()), chunk.chunk_start_offset + chunk.chunk_length + 9
+
+
+def test_a_wrong_message_index_is_replaced_by_a_scan(tmp_path):
+    path, data, index = indexed(tmp_path)
+    index += 6
     data[index + 8:index + 16] = (12345).to_bytes(8, 'little')
     path.write_bytes(data)
     recording = read(path)
@@ -116,11 +121,8 @@ def test_a_wrong_message_index_is_replaced_by_a_scan(tmp_path):
 
 
 def test_messages_that_the_index_leaves_out_are_missed_by_the_statistics(tmp_path):
-    path = write(tmp_path / 'run.mcap')
-    with path.open('rb') as stream:
-        chunk = make_reader(stream).get_summary().chunk_indexes[4]
-    data = bytearray(path.read_bytes())
-    index = chunk.chunk_start_offset + chunk.chunk_length + 9 + 2
+    path, data, index = indexed(tmp_path)
+    index += 2
     n_bytes = int.from_bytes(data[index:index + 4], 'little')
     data[index:index + 4] = (n_bytes - 16).to_bytes(4, 'little')
     path.write_bytes(data)

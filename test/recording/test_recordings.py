@@ -11,8 +11,6 @@ import mcap.writer
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from written import (FRAMES, GYRO, START_NS, assert_holds_all, assert_same, messages, sensors,
-                     split, write, write_with_mcap, write_with_rosbags)
 import yaml
 
 from instruments import EXTERNAL
@@ -24,6 +22,8 @@ from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, RecordError, 
 from starcal_ros.recording.topic_choice import TopicChoice
 from starcal_ros.recording.writer import (Batch, Writer, centroids_batch, imu_batch, serialize,
                                           typestore)
+from written import (FRAMES, GYRO, START_NS, assert_holds_all, assert_same, messages, sensors,
+                     split, write, write_with_mcap, write_with_rosbags)
 
 
 def test_what_is_written_is_read_back(tmp_path):

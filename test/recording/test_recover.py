@@ -8,8 +8,6 @@ from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags import rosbag2
-from written import (FRAMES, GYRO, START_NS, assert_holds_all, messages, write, write_with_mcap,
-                     write_with_rosbags)
 import yaml
 
 from instruments import TAN2018
@@ -19,6 +17,8 @@ from starcal_ros.recording.mcap_check import check_file
 from starcal_ros.recording.reader import FRAMES_TOPIC, GYRO_TOPIC, read
 from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch
 from starcal_ros.simulation.write_recording import simulate
+from written import (FRAMES, GYRO, START_NS, assert_holds_all, messages, write, write_with_mcap,
+                     write_with_rosbags)
 
 COUNTS = {GYRO_TOPIC: len(GYRO), FRAMES_TOPIC: len(FRAMES)}
 
