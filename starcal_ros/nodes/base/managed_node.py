@@ -171,9 +171,13 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
         return self.state == 'finalized'
 
     def destroy_node(self) -> None:
-        """Destroy the node, and its state machine: with that alive it stays in the graph."""
+        """Destroy the node, and its state machine: with that alive it stays in the graph.
+
+        Of a node that was shut down it lives on: who asked for that may not have its answer yet.
+        """
         super().destroy_node()
-        self._state_machine.destroy_when_not_in_use()       # which rclpy leaves to chance
+        if self.state != 'finalized':
+            self._state_machine.destroy_when_not_in_use()       # which rclpy leaves to chance
 
     @property
     def drained(self) -> bool:
