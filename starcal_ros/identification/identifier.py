@@ -6,8 +6,8 @@ Lost in space, nothing is known of the attitude: a pattern of bright stars (`pat
 a first one and the scale. Tracking starts from the attitude that is expected. Both then look for
 each star of the catalogue where it should be and fit attitude and camera to what they find
 (`matching`), with a gate that narrows to what the fit leaves unexplained. An answer that random
-spots could give once in a million frames is not given. In a sequence of frames a spot that other
-stars draw (`merged`) gets no name.
+spots could give once in a million frames is not given. In a sequence of frames a blend
+(`blending`) gets no name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from starcal_ros.core import camera, kalman, robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.identification import merged, patterns
+from starcal_ros.identification import blending, patterns
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.matching import Expected, View, chance, expected, fitted, match
 from starcal_ros.identification.star_field import StarField
@@ -41,7 +41,7 @@ _FIX_STARS = 2          # stars that an attitude found by searching is made of
 _STARS_PER_SPOT, _SPARE_STARS = 3, 20    # how deep in the catalogue the spots are looked for
 _BRIGHTER_MAGNITUDES = 1.0      # than its star, what a spot may be
 _PHOTOMETRIC_STARS = 5
-_DRAWN_SIGMAS, _DRAWN_PX = 0.5, 0.05     # by which others may draw a spot that gets a name
+_BLEND_SIGMAS, _BLEND_PX = 0.5, 0.05     # shift by other stars of a spot that gets a name
 _WORST_SIGMA_PX = 1.0   # stated of a spot that may get a name
 _SCALE_SIGMA = 0.02     # of the focal length that a pattern gives
 _CAMERA_DRIFT = 0.01    # of its first sigma, what the camera may change by from frame to frame
@@ -168,12 +168,12 @@ class Identifier:
             if last is not None and stamp_ns > last[0]:
                 turned = rotation.log(found.view.C_si @ last[1].C_si.T)
                 self._rate = turned / ((stamp_ns - last[0]) * 1e-9)
-            found = self._without_merged(found, stamp_ns, sigma)
+            found = self._without_blends(found, stamp_ns, sigma)
         return found
 
-    def _without_merged(self, found: Identification, stamp_ns: int, sigma: ArrayLike
+    def _without_blends(self, found: Identification, stamp_ns: int, sigma: ArrayLike
                         ) -> Identification:
-        """Take the names off the spots that other stars draw by much of their sigma."""
+        """Take the names off the spots that other stars shift by much of their sigma."""
         pitch_mm = self._guess.detector.pitch_mm
         field = self._sky.on(self._guess.detector, found.view.C_si, found.view.intrinsics,
                              stamp_ns, _STARS_PER_SPOT * len(found.catalog_id) + _SPARE_STARS)
@@ -185,11 +185,12 @@ class Identifier:
         spot = np.flatnonzero(np.isin(found.catalog_id, field.hip))
         order = np.argsort(field.hip)
         seen = order[np.searchsorted(field.hip, found.catalog_id[spot], sorter=order)]
-        wrong_px = np.linalg.norm(merged.drawn(begin, field.magnitude, end - begin, seen), axis=-1)
+        shift_px = np.linalg.norm(
+            blending.photocentre_shift(begin, field.magnitude, end - begin, seen), axis=-1)
         allowed = np.maximum(
-            _DRAWN_SIGMAS * np.broadcast_to(sigma, found.catalog_id.shape)[spot], _DRAWN_PX)
+            _BLEND_SIGMAS * np.broadcast_to(sigma, found.catalog_id.shape)[spot], _BLEND_PX)
         catalog_id = found.catalog_id.copy()
-        catalog_id[spot[wrong_px > allowed]] = 0
+        catalog_id[spot[shift_px > allowed]] = 0
         return replace(found, catalog_id=catalog_id)
 
     def lost_in_space(self, uv_raster: Array, flux: Array, stamp_ns: int | None = None,

@@ -1,10 +1,10 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Stars whose spots have the light of others in them: close pairs, and trails that overlap.
+"""Blends: spots that have the light of more than one star in them, close pairs and trails.
 
-The centroid of a merged spot is the common one of the light, not the star's, and its shape does
-not always tell: two trails in a line are a longer one. The catalogue does. A star without a spot
-of its own whose image reaches that of another draws it by ::
+The centroid of a blend is its photocentre, not the place of its brightest star, and its shape
+does not always tell: two trails in a line are a longer one. The catalogue does. A star without a
+spot of its own, whose image reaches that of another, shifts the photocentre of that by ::
 
     sum_k F_k (uv_k - uv) / (F + sum_k F_k)                                            (I.3)
 """
@@ -18,8 +18,8 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 _REACH_PX = 3.0         # of the light of a star at rest: four sigmas of a sharp spot
 
 
-def drawn(uv: Array, magnitude: Array, trail: Array, seen: Ints) -> Array:
-    """Return by how much the spots of some stars are drawn by stars that have none.
+def photocentre_shift(uv: Array, magnitude: Array, trail: Array, seen: Ints) -> Array:
+    """Return by how much the spots of some stars are shifted by stars that have none.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def drawn(uv: Array, magnitude: Array, trail: Array, seen: Ints) -> Array:
 
     Returns
     -------
-    drawn : (m, 2) array
+    shift : (m, 2) array
         Eq. (I.3) [px].
     """
     hidden: Mask = np.ones(len(uv), bool)
@@ -46,5 +46,5 @@ def drawn(uv: Array, magnitude: Array, trail: Array, seen: Ints) -> Array:
     apart = np.linalg.norm(offset - share[..., None] * along, axis=-1)
     flux = np.where(apart < _REACH_PX,
                     10.0**(-0.4 * (magnitude[hidden] - magnitude[seen][:, None])), 0.0)
-    moved: Array = (flux[..., None] * offset).sum(axis=1) / (1.0 + flux.sum(axis=1))[:, None]
-    return moved
+    shift: Array = (flux[..., None] * offset).sum(axis=1) / (1.0 + flux.sum(axis=1))[:, None]
+    return shift

@@ -1,15 +1,15 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Stars whose light falls on another's are known by the catalogue and the trail."""
+"""Blends are known by the catalogue and the trail, and get no name."""
 
 import numpy as np
 import pytest
 
 from instruments import DETECTOR, INTRINSICS, PITCH_MM
 from starcal_ros.core import camera, rotation
+from starcal_ros.identification.blending import photocentre_shift
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identifier
-from starcal_ros.identification.merged import drawn
 from starcal_ros.identification.star_field import StarField
 from starcal_ros.sky.apparent import Observer
 
@@ -18,14 +18,16 @@ STAR, NEIGHBOUR = 62807, 62819      # 3.8 px apart in T18's camera, 0.6 magnitud
 ALONG, ACROSS = 0.0, np.pi / 2.0
 
 
-def test_a_spot_is_drawn_to_the_common_centre_of_the_light():
+def test_a_spot_is_shifted_to_the_photocentre():
     uv = np.array([(0.0, 0.0), (2.0, 0.0), (50.0, 0.0), (0.0, 4.0)])
     magnitude = np.array([6.0, 6.0, 5.0, 6.0])
     at_rest, trails = np.zeros((4, 2)), np.tile((0.0, 5.0), (4, 1))
     seen = np.array([0])
-    assert drawn(uv, magnitude, at_rest, seen) == pytest.approx(np.array([(1.0, 0.0)]))
-    assert drawn(uv, magnitude, trails, seen) == pytest.approx(np.array([(2.0, 4.0)]) / 3.0)
-    assert not drawn(uv, magnitude, trails, np.arange(4)).any()     # each has its own spot
+    assert photocentre_shift(uv, magnitude, at_rest, seen) == pytest.approx(
+        np.array([(1.0, 0.0)]))
+    assert photocentre_shift(uv, magnitude, trails, seen) == pytest.approx(
+        np.array([(2.0, 4.0)]) / 3.0)
+    assert not photocentre_shift(uv, magnitude, trails, np.arange(4)).any()     # each has its own spot
 
 
 @pytest.mark.parametrize('angle, named', [(ALONG, False), (ACROSS, True), (None, True)],
