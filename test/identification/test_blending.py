@@ -22,12 +22,13 @@ def test_a_spot_is_shifted_to_the_photocentre():
     uv = np.array([(0.0, 0.0), (2.0, 0.0), (50.0, 0.0), (0.0, 4.0)])
     magnitude = np.array([6.0, 6.0, 5.0, 6.0])
     at_rest, trails = np.zeros((4, 2)), np.tile((0.0, 5.0), (4, 1))
-    seen = np.array([0])
-    assert photocentre_shift(uv, magnitude, at_rest, seen) == pytest.approx(
-        np.array([(1.0, 0.0)]))
-    assert photocentre_shift(uv, magnitude, trails, seen) == pytest.approx(
-        np.array([(2.0, 4.0)]) / 3.0)
-    assert not photocentre_shift(uv, magnitude, trails, np.arange(4)).any()     # each has its own spot
+
+    def shift(trail, *seen):
+        return photocentre_shift(uv, magnitude, trail, np.array(seen))
+
+    assert shift(at_rest, 0) == pytest.approx(np.array([(1.0, 0.0)]))
+    assert shift(trails, 0) == pytest.approx(np.array([(2.0, 4.0)]) / 3.0)
+    assert not shift(trails, 0, 1, 2, 3).any()      # each has its own spot
 
 
 @pytest.mark.parametrize('angle, named', [(ALONG, False), (ACROSS, True), (None, True)],
