@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from starcal_ros.cli import arguments, outputs
+from starcal_ros.cli.aside import aside
 from starcal_ros.cli.check import check_recording, open_recording
 from starcal_ros.cli.terminal import STATUS, progress, say, show, show_json
 from starcal_ros.config import parameter_file
@@ -46,8 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--adopt', action='store_true',
                         help='where the data contradict the model and one extension of it '
                         'explains them better than all others, calibrate again with that')
-    parser.add_argument('--no-check', action='store_true', help='skip what starcal check looks at '
-                        'before the filter runs')
+    parser.add_argument('--no-check', action='store_true', help='skip what starcal check looks at')
     outputs.add_overwrite(parser)
     arguments.add_json(parser, 'what --out writes')
 
@@ -109,15 +109,15 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
     for text in contradictions:
         say(f'warning: {text}')
     start = initial.initial_values(scenario, _saved(scenario))
-    if checked:
-        denied = [f'{each.points_at}: {each.sentence}'
-                  for each in check_recording(recording, start.scenario).findings]
-        for text in denied:
-            say(f'warning: {text}')
-        contradictions += denied
+    check = aside(lambda: check_recording(recording, start.scenario)) if checked else None
     with progress('calibrating') as on_progress:
         calibrator, history = calibrate_source(
             recording, start.scenario, on_progress, start.covariance)
+    if check is not None:
+        denied = [f'{each.points_at}: {each.sentence}' for each in check().findings]
+        for text in denied:
+            say(f'warning: {text}')
+        contradictions += denied
     used, adopted = start.scenario, dict[str, str]()
     explained: explanations.Explanations | None = None
     if result.word(calibrator) == verdict.INCONSISTENT:

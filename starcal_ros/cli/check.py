@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +19,7 @@ from starcal_ros.files.output import write_text
 
 if TYPE_CHECKING:
     from starcal_ros.checks.check import Checked
+    from starcal_ros.recording.measured_images import ImageMeter
     from starcal_ros.recording.recording_stream import RecordingStream
     from starcal_ros.recording.topic_choice import TopicChoice
 
@@ -44,7 +47,8 @@ def run(options: argparse.Namespace) -> int:
     outputs.claim([options.write], [options.bag, options.config], options.overwrite)
     recording, scenario, measured = open_recording(options.bag, scenario,
                                                    arguments.topics(options))
-    checked = check_recording(recording, scenario)
+    with progress('checking') as on_progress:
+        checked = check_recording(recording, scenario, on_progress)
     for text in (*recording.warnings, *measured):
         say(f'warning: {text}')
     show_json({'recording': str(options.bag), 'untold': list(checked.untold),
@@ -67,31 +71,36 @@ def open_recording(bag: str | Path, scenario: Scenario, choice: TopicChoice
     notices : tuple of str
         What is to be said of the identification.
     """
-    from starcal_ros.recording.measured_images import ImageMeter, as_measured
     from starcal_ros.recording.recording_stream import RecordingStream
-    meter = ImageMeter(scenario)
-    recording = RecordingStream(bag, measure=meter, choice=choice)
+
+    @cache
+    def meter() -> ImageMeter:
+        from starcal_ros.recording.measured_images import ImageMeter     # slow; few have images
+        return ImageMeter(scenario)
+    recording = RecordingStream(bag, measure=lambda *given, **named: meter()(*given, **named),
+                                choice=choice)
     if not recording.measured:
         return recording, scenario, ()
+    from starcal_ros.recording.measured_images import as_measured
     try:
         with progress('identifying') as on_progress:
-            numbered = meter.identify(recording, on_progress)
+            numbered = meter().identify(recording, on_progress)
     except ImportError as error:
         raise ConfigError(str(error)) from None
     return recording, as_measured(scenario), numbered.notices
 
 
-def check_recording(recording: RecordingStream, scenario: Scenario) -> Checked:
-    """Check a recording, or parts of a long one, with a progress bar."""
+def check_recording(recording: RecordingStream, scenario: Scenario,
+                    on_progress: Callable[[float], None] | None = None) -> Checked:
+    """Check a recording, or parts of a long one."""
     from starcal_ros.checks.check import check
     from starcal_ros.checks.frame_ids import of_frame_ids
     from starcal_ros.checks.stamps import LogTimes
     from starcal_ros.recording.excerpt import excerpt
     logged = recording.span(recording.frames_topic)
-    with progress('checking') as on_progress:
-        messages = excerpt(recording)
-        checked = check(messages.gyro, messages.frames, scenario,
-                        LogTimes(*logged) if logged else None, on_progress)
+    messages = excerpt(recording)
+    checked = check(messages.gyro, messages.frames, scenario,
+                    LogTimes(*logged) if logged else None, on_progress)
     return checked.with_findings(of_frame_ids(*(
         recording.frame_ids.get(topic) for topic in (recording.gyro_topic,
                                                      recording.frames_topic))))

@@ -3,8 +3,9 @@
 """MCAP written chunk by chunk, single messages or whole arrays of them.
 
 Messages go into zstd-compressed chunks with a checksum and a message index. A chunk ends with
-the second of log time in which it began, or earlier when it is full, and is handed to the
-operating system at once: a process that is killed loses its last second, no more. One that can not
+the second of log time in which it began (or with some of them, where nobody waits for it), or
+earlier when it is full, and is handed to the operating system at once: a process that is killed
+loses its last second, no more. One that can not
 be written whole is taken back, so that the file ends with the chunk before.
 
 All that stands before the summary has a checksum of its own, and the summary another.
@@ -34,7 +35,6 @@ from starcal_ros.recording.mcap_chunk import MESSAGE_HEAD, RECORD
 from starcal_ros.recording.mcap_index import ChunkIndices
 from starcal_ros.recording.mcap_reader import MAGIC
 
-CHUNK_NS = 10**9
 CHUNK_BYTES = 1 << 20
 
 _HEAD = struct.Struct('<BQHIQQ')
@@ -49,10 +49,12 @@ class McapWriter:
         Where to write, from its start, unbuffered; left open by `finish`.
     profile, library : str
         Named in the header of the file.
+    chunk_s : int
+        Seconds of log time in a chunk, at most.
     """
 
-    def __init__(self, stream: BinaryIO, profile: str, library: str) -> None:
-        self._stream = stream
+    def __init__(self, stream: BinaryIO, profile: str, library: str, chunk_s: int = 1) -> None:
+        self._stream, self._chunk_ns = stream, chunk_s * 10**9
         self._position, self._crc = 0, 0
         self._zstd = zstandard.ZstdCompressor()
         self._schemas: list[Schema] = []
@@ -63,8 +65,12 @@ class McapWriter:
         self._counts: Counter[int] = Counter()
         self._records = bytearray()
         self._index: dict[int, array[int]] = {}
-        self._second: int | None = None
+        self._slot: int | None = None
         self._write([MAGIC, _encode(Header(profile, library))])
+
+    def slot(self, log_time_ns: Ints | int) -> Ints | int:
+        """Return a number for the seconds of log time that share a chunk."""
+        return log_time_ns // self._chunk_ns
 
     @property
     def n_bytes(self) -> int:
@@ -136,7 +142,7 @@ class McapWriter:
 
     def add_rows(self, channel: int, log_time_ns: Ints,
                  rows: NDArray[np.uint8]) -> None:
-        """Write messages of equal length that belong to one second of log time.
+        """Write messages of equal length that belong into one chunk (`slot`) by their log time.
 
         Parameters
         ----------
@@ -197,7 +203,7 @@ class McapWriter:
         finally:
             self._records.clear()
             self._index.clear()
-            self._second = None
+            self._slot = None
 
     def _write_chunk(self, raw: bytes | bytearray | memoryview, packed: bytes | memoryview,
                      compression: str, index: Mapping[int, bytes]) -> None:
@@ -243,11 +249,11 @@ class McapWriter:
         self._write([data_end], _checked(summary), [MAGIC])
 
     def _make_room(self, log_time_ns: int) -> None:
-        """Begin a new chunk where the last one is full or of another second."""
-        second = log_time_ns // CHUNK_NS
-        if second != self._second or len(self._records) >= CHUNK_BYTES:
+        """Begin a new chunk where the last one is full or of other seconds."""
+        slot = int(self.slot(log_time_ns))
+        if slot != self._slot or len(self._records) >= CHUNK_BYTES:
             self.finish_chunk()
-            self._second = second
+            self._slot = slot
 
     def _entries(self, channel: int) -> array[int]:
         """Return the message index of a channel: log time, offset, log time, offset..."""

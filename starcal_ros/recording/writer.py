@@ -32,7 +32,7 @@ from starcal_ros.messages.cdr_pointcloud import CLOUD_TYPE, encode_centroids
 from starcal_ros.messages.contents import Types
 from starcal_ros.recording import bag_metadata
 from starcal_ros.recording.bag_metadata import Offer, Part
-from starcal_ros.recording.mcap_writer import CHUNK_NS, McapWriter
+from starcal_ros.recording.mcap_writer import McapWriter
 from starcal_ros.recording.qos import Qos
 
 
@@ -101,6 +101,9 @@ class Writer:
         The file to make, usually `*.mcap`.
     overwrite : bool
         Replace a file that exists.
+    chunk_s : int
+        Seconds of log time in a chunk, at most: what is lost where the process is killed. Readers
+        are faster over long ones.
 
     Raises
     ------
@@ -113,7 +116,7 @@ class Writer:
         Texts for the metadata, by name.
     """
 
-    def __init__(self, path: str | Path, overwrite: bool = False) -> None:
+    def __init__(self, path: str | Path, overwrite: bool = False, chunk_s: int = 1) -> None:
         self.path = Path(path)
         try:
             self._stream = self.path.open('wb' if overwrite else 'xb', buffering=0)
@@ -121,7 +124,7 @@ class Writer:
             raise RecordError(f'{path} exists; choose another name or overwrite it') from None
         except OSError as error:
             raise RecordError(f'{path} cannot be written: {error.strerror}') from error
-        self._mcap = McapWriter(self._stream, 'ros2', library())
+        self._mcap = McapWriter(self._stream, 'ros2', library(), chunk_s)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}
         self._offers: dict[int, Offer] = {}
@@ -171,7 +174,7 @@ class Writer:
         order = np.argsort(log_time, kind='stable')
         log_time, source, row = log_time[order], source[order], row[order]
         breaks = ((np.diff(source) != 0) | (np.diff(row) != 1)
-                  | (np.diff(log_time // CHUNK_NS) != 0))
+                  | (np.diff(self._mcap.slot(log_time)) != 0))
         edges = np.concatenate(([0], np.flatnonzero(breaks) + 1, [len(row)])).tolist()
         for low, high in zip(edges[:-1], edges[1:] if len(row) else []):
             batch, channel = batches[source[low]], channels[source[low]]

@@ -32,6 +32,7 @@ CONTENTS = Contents(TYPES)
 """Makes messages that `serialize` takes."""
 
 _BATCH_S = 60.0             # simulated seconds written at once
+_CHUNK_S = 30               # nobody reads it before it is whole
 _IMAGES_BATCH_S = 2.0       # the same, where a frame takes megabytes
 
 
@@ -66,7 +67,8 @@ def simulate(scenario: Scenario, path: str | Path, overwrite: bool = False,
     renderer = sensors.images(scenario) if scenario.simulation.images else None
     centroids = topics.TRUE_CENTROIDS if renderer else topics.CENTROIDS
     batch_s = _IMAGES_BATCH_S if renderer else _BATCH_S
-    with whole(path, overwrite) as draft, Writer(draft, overwrite=True) as writer:
+    with (whole(path, overwrite) as draft,
+          Writer(draft, overwrite=True, chunk_s=_CHUNK_S) as writer):
         writer.attach(CONFIG_ATTACHMENT, parameter_file.dump(scenario).encode(),
                       'application/yaml')
         writer.attach(TRUTH_ATTACHMENT, json.dumps(truth.as_dict(), indent=1).encode(),

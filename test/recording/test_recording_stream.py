@@ -38,6 +38,7 @@ def messages():
 def small_groups(monkeypatch):
     """Read a few seconds at once, so that a recording has many batches."""
     monkeypatch.setattr('starcal_ros.recording.bag.GROUP_BYTES', 200_000)
+    monkeypatch.setattr('starcal_ros.simulation.write_recording._CHUNK_S', 1)
 
 
 def in_order(path, gyro, frames):
