@@ -19,8 +19,8 @@ import sys
 BENCH = Path(__file__).resolve().parent
 PAGE = BENCH.parent / 'docs' / 'performance.md'
 SCRIPTS = ('calibrate.py', 'filterpy_peer.py', 'frame.py', 'start.py', 'scale.py', 'live.py',
-           'gyro_reading.py', 'record.py', 'images.py', 'identify.py', 'intrinsics_methods.py',
-           'interstar.py')
+           'gyro_reading.py', 'record.py', 'images.py', 'image_peers.py', 'identify.py',
+           'intrinsics_methods.py', 'interstar.py')
 HEAD = """# Performance
 
 Written by `python bench/performance.py`, which runs the scripts of `bench/` one after the other;
