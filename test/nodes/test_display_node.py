@@ -41,7 +41,8 @@ def test_it_draws_each_frame_and_gives_the_numbers_of_the_estimator(start, peer,
     display = start('display')
     peer.until(lambda: peer.node.count_publishers(topics.VALUES.name) == 1)
     estimator = start('estimator', *given)
-    peer.until(lambda: peer.node.count_publishers(topics.RESIDUALS.name) == 1)
+    peer.until(lambda: peer.node.count_publishers(topics.RESIDUALS.name) == 1
+               and peer.node.count_subscribers(topics.RESIDUALS.name) == 1)
     simulators = [start(name, *given) for name in ('star_tracker_sim', 'gyro_sim')]
 
     last_ns = calibrator.stamp_ns

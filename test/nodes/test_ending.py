@@ -25,8 +25,9 @@ NAMES = ('recorder', 'estimator', 'star_tracker_sim', 'gyro_sim')
 
 
 @pytest.mark.parametrize('factor, duration_s, percent, names', [
-    (0.0, 6000.0, 4, NAMES), (0.0, 6000.0, 4, ('composed',)), (10.0, 300.0, 10, NAMES),
-    (1.0, 60.0, 5, NAMES)], ids=['as_fast_as_they_go', 'one_process', 'ten_times', 'real_time'])
+    (0.0, 6000.0, 4, NAMES), *(pytest.param(*rest, marks=pytest.mark.slow) for rest in (
+        (0.0, 6000.0, 4, ('composed',)), (10.0, 300.0, 10, NAMES), (1.0, 60.0, 5, NAMES)))],
+    ids=['as_fast_as_they_go', 'one_process', 'ten_times', 'real_time'])
 def test_what_is_recorded_is_what_was_estimated_though_all_are_interrupted_at_once(
         start, tmp_path, factor, duration_s, percent, names):
     """Who should end last is asked first."""

@@ -169,6 +169,7 @@ def result(process: subprocess.Popen, timeout_s: float = 40.0) -> dict[str, obje
     return json.loads(out)
 
 
+@pytest.mark.slow
 def test_slow_subscriber_slows_the_publisher_and_nothing_is_lost(processes):
     count = 20_000
     listeners = [processes.listen(count - 1), processes.listen(count - 1, 0.1),

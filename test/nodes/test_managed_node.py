@@ -192,7 +192,8 @@ MANAGED = {'recorder': topics.IMU, 'estimator': topics.IMU, 'centroid_extractor'
            'star_identifier': topics.SPOTS, 'intrinsics_estimator': topics.IMU}
 
 
-@pytest.mark.parametrize('names', [*((name,) for name in MANAGED), tuple(MANAGED)],
+@pytest.mark.parametrize('names', [*(pytest.param((name,), marks=pytest.mark.slow)
+                                     for name in MANAGED), tuple(MANAGED)],
                          ids=lambda names: names[0] if len(names) == 1 else 'composed')
 def test_running_node_goes_through_all_transitions_twice(start_once, peer, names, tmp_path):
     """Readings arrive all the while: the loop may be amid them when a transition ends them."""

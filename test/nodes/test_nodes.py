@@ -389,6 +389,7 @@ def test_simulation_ends_in_the_same_way_without_anyone_listening(start, paramet
     assert start('gyro_sim', *parameters).wait(PATIENCE_S) == 0
 
 
+@pytest.mark.slow
 def test_real_time_factor_sets_the_pace(start, parameters):
     """Ten times real time: six seconds for a minute; a start takes less than ten."""
     begin = time.monotonic()

@@ -210,10 +210,11 @@ ODD = '/adis16505/gyro', '/cam0/stars'
 
 
 @pytest.mark.parametrize('pairs, words', [
-    ([LEFT], []), ([ODD], []),
-    ([LEFT, RIGHT], ['-p', 'player.recorded_namespace:=right']),
     ([LEFT, ODD], ['-p', 'player.imu_topic:=/adis16505/gyro',
-                   '-p', 'player.centroids_topic:=cam0/stars'])])
+                   '-p', 'player.centroids_topic:=cam0/stars']),
+    *(pytest.param(*rest, marks=pytest.mark.slow) for rest in (
+        ([LEFT], []), ([ODD], []),
+        ([LEFT, RIGHT], ['-p', 'player.recorded_namespace:=right'])))])
 def test_recording_under_any_name_reaches_the_estimator(start, folder, renamed, pairs, words):
     rclpy.init()
     try:
@@ -241,7 +242,7 @@ def test_player_names_the_choice_where_there_is_none_or_more(start, renamed, pai
     assert player.returncode == 2 and said in errors
 
 
-@pytest.mark.parametrize('pair', [LEFT, ODD])
+@pytest.mark.parametrize('pair', [pytest.param(LEFT, marks=pytest.mark.slow), ODD])
 def test_player_that_keeps_the_names_waits_for_the_sensors_alone(start, folder, renamed, pair):
     start('estimator', '--params-file', str(folder / 'config.yaml'),
           '-r', f'imu/data_raw:={pair[0]}', '-r', f'star_tracker/centroids:={pair[1]}')

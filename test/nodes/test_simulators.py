@@ -55,7 +55,8 @@ def passes(peer, seconds):
     peer.until(lambda: time.monotonic() > ends)
 
 
-@pytest.mark.parametrize('slow, fast', [NAMES, NAMES[::-1]])
+@pytest.mark.parametrize('slow, fast', [
+    NAMES, pytest.param(*NAMES[::-1], marks=pytest.mark.slow)])
 def test_one_that_stands_holds_up_the_other_until_it_goes_on_or_leaves(
         start, peer, heard, newest, tmp_path, slow, fast):
     config = tmp_path / 'config.yaml'
