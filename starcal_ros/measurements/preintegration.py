@@ -141,9 +141,10 @@ def cut(gyro: GyroSamples, cuts_ns: Ints, period_ns: float) -> Pieces:
     before = np.maximum(sample - 1, 0)
     rate = np.where(silent[:, None], 0.5 * (gyro.rate[before] + gyro.rate[sample]),
                     gyro.rate[sample])
-    # Before the very first reading the silence has no beginning but the first cut.
-    since = np.where(sample > 0, stamps[before], cuts_ns[0])
-    gap_turn = np.where(silent, 0.5 * (((end - since) * NS)**2 - ((start - since) * NS)**2), 0.0)
+    # Before the very first reading a silence has an end alone, from which it is counted back.
+    known = np.where(sample > 0, stamps[before], begins[sample])
+    gap_turn = np.where(
+        silent, 0.5 * np.abs(((end - known) * NS)**2 - ((start - known) * NS)**2), 0.0)
     return Pieces(end, (end - start) * NS, rate, gap_turn)
 
 

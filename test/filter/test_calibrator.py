@@ -88,17 +88,28 @@ def test_intervals_composed_afresh_do_not_depend_on_how_messages_are_cut(long_si
 
 @pytest.mark.parametrize('frames_first', [True, False])
 def test_results_of_one_message_at_a_time_are_those_of_all_at_once(run, at_once, frames_first):
+    assert_same(one_at_a_time(run.gyro, run.frames, frames_first), at_once[1])
+
+
+def one_at_a_time(gyro, frames, frames_first):
+    """Return the results of messages in the order of their stamps."""
     calibrator, results, k = Calibrator(SCENARIO), [], 0
-    for i, stamp_ns in enumerate(run.gyro.stamp_ns):
+    for i, stamp_ns in enumerate(gyro.stamp_ns):
         if not frames_first:
-            calibrator.add_gyro(run.gyro[i:i + 1])
-        while k < len(run.frames) and run.frames.stamp_ns[k] <= stamp_ns:
-            calibrator.add_frames(run.frames[k:k + 1])
+            calibrator.add_gyro(gyro[i:i + 1])
+        while k < len(frames) and frames.stamp_ns[k] <= stamp_ns:
+            calibrator.add_frames(frames[k:k + 1])
             k += 1
         if frames_first:
-            calibrator.add_gyro(run.gyro[i:i + 1])
+            calibrator.add_gyro(gyro[i:i + 1])
         results += calibrator.process()
-    assert_same(results, at_once[1])
+    return results
+
+
+def test_results_of_one_message_at_a_time_are_the_same_where_the_gyro_begins_late(run):
+    """As in a recording whose recorder found the gyro after the star tracker."""
+    gyro, frames = run.gyro[117:1000], run.frames[:19]
+    assert_same(one_at_a_time(gyro, frames, frames_first=True), calibrated(gyro, frames)[1])
 
 
 def test_frames_wait_while_the_gyro_is_silent_and_are_then_used(run, at_once):

@@ -238,14 +238,22 @@ def test_an_interval_of_one_and_a_half_is_the_longest_that_a_reading_covers(step
     np.testing.assert_allclose(result.gap_turn, [0.5 * (0.01 * hidden)**2], atol=1e-15)
 
 
-def test_a_cut_before_the_first_reading_begins_a_silence_of_its_rate():
+def test_before_the_first_reading_is_a_silence_of_its_rate():
     """Readings from 0.41 s (it covers 0.40 to 0.41), the first frame at 0.15 s."""
     gyro = regular(rate=CONSTANT)[40:]
     result = preintegrate(gyro, ns(0.15, 0.25, 1.0), np.zeros(3), PERIOD_NS)
     np.testing.assert_allclose(result.Delta, rotation.exp(-CONSTANT * [[0.1], [0.75]]),
                                atol=ROUNDING_100)
-    np.testing.assert_allclose(result.gap_turn, [0.5 * 0.1**2, 0.5 * (0.25**2 - 0.1**2)],
+    np.testing.assert_allclose(result.gap_turn, [0.5 * (0.25**2 - 0.15**2), 0.5 * 0.15**2],
                                rtol=1e-12)
+
+
+def test_what_hides_before_the_first_reading_does_not_depend_on_the_first_cut():
+    """A node has one frame after the other, a recording all at once."""
+    gyro = regular(rate=CONSTANT)[40:]
+    all_at_once = preintegrate(gyro, ns(0.0, 0.15, 0.25, 1.0), np.zeros(3), PERIOD_NS)
+    last = preintegrate(gyro, ns(0.25, 1.0), np.zeros(3), PERIOD_NS)
+    np.testing.assert_array_equal(last.gap_turn, all_at_once.gap_turn[-1:])
 
 
 # Noise
