@@ -122,6 +122,7 @@ class Estimator(ManagedNode):
             self._results.publish_frame(calibrator, frame)
             self._progress.add(frame.stamp_ns, frame.belief.sigma)
         self._results.publish_track(calibrator, calibrator.track())
+        self._first.restarted(calibrator.counts.restarts)
         for text in calibrator.take_notices():
             self.get_logger().warning(text)
 

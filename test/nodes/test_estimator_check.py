@@ -55,3 +55,29 @@ def test_what_is_wrong_is_told_once_and_what_is_right_not_at_all():
     found, = told(first, GyroSamples(samples.stamp_ns, np.degrees(samples.rate)), frames)
     assert found.kind == 'unit of the rates'
     assert [each.kind for each in first.checked.findings] == ['unit of the rates']
+
+
+@pytest.mark.parametrize('lap_s', [200.0, 297.0])
+def test_a_recording_that_is_played_again_and_again_is_no_fault_of_the_driver(lap_s):
+    """The second check would have had two laps, or have begun when the clock was just set back."""
+    pytest.importorskip('rclpy')
+    from starcal_ros.filter.calibrator import Calibrator
+    from starcal_ros.nodes.estimator_check import FirstMinutes
+    lap = SCENARIO.replace({'simulation.duration_s': lap_s})
+    first, calibrator, found = FirstMinutes(lap), Calibrator(lap), []
+    for _ in range(3):
+        gyro, tracker = sensors.gyro(lap), sensors.star_tracker(lap)
+        for _ in range(0, tracker.count, 10):
+            samples, frames = gyro.next(500), tracker.next(10)
+            for into in (calibrator, first):
+                into.add_gyro(samples)
+                into.add_frames(frames)
+            for _ in calibrator.process():
+                pass
+            first.restarted(calibrator.counts.restarts)
+            end = time.monotonic() + 60.0
+            while first._busy and time.monotonic() < end:
+                time.sleep(0.01)
+            found += first.take()
+    assert calibrator.counts.restarts == 2
+    assert found == [] and first.checked is not None
