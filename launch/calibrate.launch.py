@@ -32,17 +32,19 @@ def generate_launch_description() -> LaunchDescription:
 
     def estimator(condition: IfCondition | UnlessCondition, *more: dict[str, bool]) -> Node:
         return Node(executable='estimator', **each, condition=condition, remappings=topics,
-                    parameters=[*common, {'estimator.wait_for_subscribers': 1},
+                    parameters=[*common, {'estimator.wait_for_nodes': ['recorder']},
                                 parameter('estimator.load_calibration', 'load_calibration', bool),
                                 *more])
 
     nodes = [
         Node(executable='centroid_extractor', **each, condition=IfCondition(images),
              remappings=topics,
-             parameters=[*common, {'centroid_extractor.wait_for_subscribers': 2}]),
+             parameters=[*common, {'centroid_extractor.wait_for_nodes': [
+                 'star_identifier', 'recorder']}]),
         Node(executable='star_identifier', **each, condition=IfCondition(images),
              remappings=topics,
-             parameters=[*common, {'star_identifier.wait_for_subscribers': 2}]),
+             parameters=[*common, {'star_identifier.wait_for_nodes': [
+                 'estimator', 'recorder']}]),
         # The sigma of a centroid that is extracted holds the trail of a moving star already.
         estimator(UnlessCondition(images)),
         estimator(IfCondition(images), {'star_tracker.smear': False}),

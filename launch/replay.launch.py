@@ -16,7 +16,7 @@ def generate_launch_description() -> LaunchDescription:
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
     each = {'package': 'starcal_ros', 'output': 'screen', 'namespace': namespace, **IN_PEACE}
     # The replay begins when the estimator listens, so that it misses nothing.
-    playback = {'player.wait_for_subscribers': 1, 'player.rename': True, **{
+    playback = {'player.wait_for_nodes': ['estimator'], 'player.rename': True, **{
         f'player.{name}': ParameterValue(LaunchConfiguration(argument), value_type=kind)
         for name, argument, kind in (
             ('bag', 'bag', str), ('rate', 'rate', float), ('loop', 'loop', bool),

@@ -20,27 +20,34 @@ def generate_launch_description() -> LaunchDescription:
     config, namespace = LaunchConfiguration('config'), LaunchConfiguration('namespace')
     each = {'package': 'starcal_ros', 'output': 'screen', 'namespace': namespace, **IN_PEACE}
     images = LaunchConfiguration('images')
-    # The run begins when all listen that have to, so that none misses anything. A star tracker
-    # has two listeners, the gyro the identifier as well.
+    # The run begins when all listen that have to, so that none misses anything. By name: a
+    # recorder of rosbag2 that was there before is a subscriber, too.
     pace = {'simulation.images': ParameterValue(images, value_type=bool),
             'simulation.wait_for_simulators': 1,
             'simulation.real_time_factor':
             ParameterValue(LaunchConfiguration('real_time_factor'), value_type=float)}
-    gyro_listeners = ParameterValue(
-        PythonExpression(["3 if '", images, "'.lower() in ('true', '1') else 2"]), value_type=int)
+
+    def listeners(with_images: list[str], without: list[str]) -> dict[str, ParameterValue]:
+        return {'simulation.wait_for_nodes': ParameterValue(PythonExpression(
+            [f"{with_images} if '", images, f"'.lower() in ('true', '1') else {without}"]),
+            value_type=list[str])}
+
     output = {'recorder.output': ParameterValue(LaunchConfiguration('output'), value_type=str)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
     tf = [('/tf_static', 'tf_static')]
 
     def estimator(condition: IfCondition | UnlessCondition, *more: dict[str, bool]) -> Node:
         return Node(executable='estimator', **each, condition=condition, remappings=tf,
-                    parameters=[config, autostart, {'estimator.wait_for_subscribers': 1}, *more])
+                    parameters=[config, autostart, {'estimator.wait_for_nodes': ['recorder']},
+                                *more])
 
     others = [
         Node(executable='centroid_extractor', **each, condition=IfCondition(images),
-             parameters=[config, autostart, {'centroid_extractor.wait_for_subscribers': 2}]),
+             parameters=[config, autostart, {'centroid_extractor.wait_for_nodes': [
+                 'star_identifier', 'recorder']}]),
         Node(executable='star_identifier', **each, condition=IfCondition(images),
-             parameters=[config, autostart, {'star_identifier.wait_for_subscribers': 2}]),
+             parameters=[config, autostart, {'star_identifier.wait_for_nodes': [
+                 'estimator', 'recorder']}]),
         # The sigma of a centroid that is extracted holds the trail of a moving star already.
         estimator(UnlessCondition(images)),
         estimator(IfCondition(images), {'star_tracker.smear': False}),
@@ -48,9 +55,11 @@ def generate_launch_description() -> LaunchDescription:
     ]
     sources = [
         Node(executable='star_tracker_sim', **each,
-             parameters=[config, pace, {'simulation.wait_for_subscribers': 2}]),
+             parameters=[config, pace, listeners(
+                 ['centroid_extractor', 'recorder'], ['estimator', 'recorder'])]),
         Node(executable='gyro_sim', **each,
-             parameters=[config, pace, {'simulation.wait_for_subscribers': gyro_listeners}]),
+             parameters=[config, pace, listeners(
+                 ['estimator', 'star_identifier', 'recorder'], ['estimator', 'recorder'])]),
     ]
     return LaunchDescription([
         DeclareLaunchArgument(

@@ -113,7 +113,10 @@ def test_parameters_are_declared_ones_of_their_types(entities):
         for name, value in ((name, value) for values in given for name, value in values.items()):
             kind = ROS_OWN.get(name) or known[name].element
             if isinstance(value, Call):
-                assert value.kwargs['value_type'] is kind, name
+                assert value.kwargs['value_type'] == (
+                    list[kind] if name in known and known[name].is_array else kind), name
+            elif name in known and known[name].is_array:
+                assert all(type(each) is kind for each in value), name
             else:
                 assert type(value) is kind, name
 
@@ -164,14 +167,14 @@ def value_of(value, images):
 
 @pytest.mark.parametrize('images', ['false', 'true', 'True', '1'])
 def test_nothing_is_missed_at_the_beginning(entities, images):
-    """Who speaks waits for who listens."""
+    """Who speaks waits for who listens, by name: others that listen are not they."""
     with_images = images != 'false' and 'images' in [
         argument.args[0] for argument in of(entities, 'DeclareLaunchArgument')]
     nodes = {node.kwargs['executable']: node for node in of(entities, 'Node')
              if runs(node, with_images)}
-    waits = {name: max((value_of(value, images) for given in node.kwargs['parameters'][1:]
-                        for key, value in given.items() if key.endswith('wait_for_subscribers')),
-                       default=0) for name, node in nodes.items()}
+    waits = {name: {each for given in node.kwargs['parameters'][1:] for key, value in given.items()
+                    if key.endswith('wait_for_nodes') for each in value_of(value, images)}
+             for name, node in nodes.items()}
     recorders = nodes.keys() & {'recorder'}
     behind_images = {'centroid_extractor'} if with_images else {'estimator'}
     identifiers = nodes.keys() & {'star_identifier'}
@@ -180,7 +183,7 @@ def test_nothing_is_missed_at_the_beginning(entities, images):
                  'player': {'estimator'}, 'estimator': set(), 'star_identifier': {'estimator'},
                  'centroid_extractor': {'star_identifier'}}
     for name in nodes.keys() & listeners.keys():
-        assert waits[name] == len(listeners[name] | recorders), name
+        assert waits[name] == listeners[name] | recorders, name
 
 
 class Event:

@@ -128,6 +128,9 @@ class EstimatorConfig:
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that each result topic must have before the sensors are listened to', '', 0,
         100)] = 0
+    wait_for_nodes: Annotated[Strings, Spec(
+        'Nodes, by name, that must subscribe to each result topic before the sensors are listened '
+        'to; no other subscriber stands in for them')] = ()
     calibration_directory: Annotated[str, Spec(
         'Where the service save_calibration puts calibrations, in a numbered folder each; in a '
         'namespace, in its folder there')] = 'calibrations'

@@ -23,6 +23,9 @@ class CentroidExtractorConfig:
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that star_tracker/spots must have before images are listened to', '', 0, 100)
     ] = 0
+    wait_for_nodes: Annotated[Strings, Spec(
+        'Nodes, by name, that must subscribe to star_tracker/spots before images are listened to; '
+        'no other subscriber stands in for them')] = ()
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,9 @@ class StarIdentifierConfig:
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that star_tracker/centroids must have before spots are listened to', '', 0,
         100)] = 0
+    wait_for_nodes: Annotated[Strings, Spec(
+        'Nodes, by name, that must subscribe to star_tracker/centroids before spots are listened '
+        'to; no other subscriber stands in for them')] = ()
 
 
 @dataclass(frozen=True)
@@ -88,3 +94,6 @@ class PlayerConfig:
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that each sensor topic must have before the replay begins: the gyro, and '
         'centroids, or else spots, or else images', '', 0, 100)] = 0
+    wait_for_nodes: Annotated[Strings, Spec(
+        'Nodes, by name, that must subscribe to each of these topics before the replay begins; no '
+        'other subscriber stands in for them')] = ()

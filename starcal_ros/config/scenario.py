@@ -57,6 +57,9 @@ class SimulationConfig:
     ] = 1.0
     wait_for_subscribers: Annotated[int, Spec(
         'Subscribers that each sensor topic must have before the run begins', '', 0, 100)] = 0
+    wait_for_nodes: Annotated[Strings, Spec(
+        'Nodes, by name, that must subscribe to each sensor topic before the run begins; no other '
+        'subscriber stands in for them')] = ()
     wait_for_simulators: Annotated[int, Spec(
         'Other simulators that must be there before the run begins', '', 0, 100)] = 0
     images: Annotated[bool, Spec(

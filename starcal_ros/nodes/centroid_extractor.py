@@ -33,7 +33,8 @@ class CentroidExtractor(ManagedNode):
     def activate(self) -> None:
         """Listen to the images, as soon as the spots have the listeners they must have."""
         self._tally = Tally(self, 'centroids', self.faults.counts)
-        self.when_heard(self.scenario.centroid_extractor.wait_for_subscribers, self._listen)
+        own = self.scenario.centroid_extractor
+        self.when_heard(own.wait_for_subscribers, own.wait_for_nodes, self._listen)
 
     def _listen(self) -> None:
         images = topics.IMAGES

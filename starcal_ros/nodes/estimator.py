@@ -60,7 +60,8 @@ class Estimator(ManagedNode):
         """Listen to the sensors, as soon as the results have the listeners they must have."""
         self._diagnostics = Diagnostics(self, self.inputs)
         self.repeat(_DIAGNOSTICS_S, self._publish_diagnostics)
-        self.when_heard(self.scenario.estimator.wait_for_subscribers, self._listen)
+        own = self.scenario.estimator
+        self.when_heard(own.wait_for_subscribers, own.wait_for_nodes, self._listen)
 
     def _listen(self) -> None:
         self.listen(topics.IMU, self._on_gyro)

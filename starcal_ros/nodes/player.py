@@ -69,7 +69,8 @@ class Player(parameters.AnsweringNode):
         sensors = [publisher for name, publisher in played.items()
                    if name.endswith((IMU.name, stars.name))]
         when_subscribed(self, sensors or played.values(), player.wait_for_subscribers,
-                        self._playback.begin, '; the recording has ' + ', '.join(
+                        player.wait_for_nodes, self._playback.begin,
+                        '; the recording has ' + ', '.join(
                             f'{topic.count} {topic.name}' for topic in bag.topics()))
         for text in bag.warnings:
             self.get_logger().warning(text)

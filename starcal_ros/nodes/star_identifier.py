@@ -54,7 +54,8 @@ class StarIdentifier(ManagedNode):
         """Listen, as soon as the numbered frames have the listeners they must have."""
         self._tally = Tally(self, 'identification', self.faults.counts)
         self.repeat(_LOOK_S, self._advance)
-        self.when_heard(self.scenario.star_identifier.wait_for_subscribers, self._listen)
+        own = self.scenario.star_identifier
+        self.when_heard(own.wait_for_subscribers, own.wait_for_nodes, self._listen)
 
     def _listen(self) -> None:
         self.listen(topics.IMU, self._on_gyro)

@@ -32,7 +32,7 @@ class Numbers(Node):
         self.publisher = FlowPublisher(self, Imu, 'numbers', latched=bool(latched))
         self.clock = SimulatedClock(0, 0.0)
         self.feed = Feed(self, self.clock, self.items(count))
-        when_subscribed(self, [self.publisher], subscribers, self.begin)
+        when_subscribed(self, [self.publisher], subscribers, (), self.begin)
         self.stays = bool(latched)      # a latched message is there as long as its publisher
 
     def begin(self):

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-pytest.importorskip('rclpy')
+rclpy = pytest.importorskip('rclpy')
 
 from rclpy.qos import QoSProfile  # noqa: E402
 from sensor_msgs.msg import Imu, PointCloud2  # noqa: E402
@@ -107,3 +107,21 @@ def test_clock_stands_at_its_limit_and_goes_on_from_there(factor):
     assert clock.now_ns() == (2000 if factor == 0.0 else 1500)
     real_ns += 30
     assert clock.now_ns() == (2000 if factor == 0.0 else 1800)
+
+
+def test_a_recorder_of_another_kind_does_not_stand_in_for_the_node_that_is_waited_for(
+        start, peer, newest):
+    """As `ros2 bag record`, which is there first: the estimator missed 1.5 s of the gyro."""
+    start('gyro_sim', '-p', 'simulation.wait_for_nodes:=[listener]',
+          '-p', 'simulation.real_time_factor:=1.0')
+    peer.until(lambda: peer.node.count_publishers('imu/data_raw') == 1)
+    passes(peer, 1.5)
+    assert newest('gyro_sim') < 0.0
+    awaited = rclpy.create_node('listener', namespace=peer.node.get_namespace())
+    heard = []
+    awaited.create_subscription(Imu, 'imu/data_raw', heard.append, QoSProfile(depth=1000))
+    peer.until(lambda: newest('gyro_sim') > 0.0)
+    while len(heard) < 5:
+        rclpy.spin_once(awaited, timeout_sec=PATIENCE_S)
+    awaited.destroy_node()
+    assert heard[0].header.stamp.nanosec == 10_000_000

@@ -86,6 +86,14 @@ class FlowPublisher:
         """Number of subscribers that are matched now."""
         return self._publisher.get_subscription_count()
 
+    def lacks(self, nodes: Iterable[str]) -> list[str]:
+        """Return which nodes, by names from the namespace of the own one, do not subscribe."""
+        namespace = self._node.get_namespace().rstrip('/')
+        there = {f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+                 for info in self._node.get_subscriptions_info_by_topic(self.topic)}
+        return [name for name in nodes
+                if (name if name.startswith('/') else f'{namespace}/{name}') not in there]
+
     @property
     def acknowledged(self) -> bool:
         """True when every reliable subscriber holds all that was published."""
@@ -186,20 +194,30 @@ def drain(publishers: Iterable[FlowPublisher], patience_s: float) -> None:
 
 
 def when_subscribed(node: Node, publishers: Iterable[FlowPublisher], count: int,
-                    callback: Callable[[], None], remark: str = '') -> Timer:
-    """Call back, once and from the loop, when each publisher has that many subscribers.
+                    nodes: Iterable[str], callback: Callable[[], None], remark: str = ''
+                    ) -> Timer:
+    """Call back, once and from the loop, when each publisher has its subscribers; see `unheard`.
 
     Until then the timer that is returned looks for them. After five seconds it says what is
     missing, with a remark.
     """
-    publishers = list(publishers)
-    return when_there(node, lambda: unheard(publishers, count), callback, remark)
+    publishers, nodes = list(publishers), list(nodes)
+    return when_there(node, lambda: unheard(publishers, count, nodes), callback, remark)
 
 
-def unheard(publishers: Iterable[FlowPublisher], count: int) -> list[str]:
-    """Return which publishers have fewer subscribers than that, in words."""
-    return [f'{publisher.topic} has {publisher.subscribers} of {count} subscribers'
-            for publisher in publishers if publisher.subscribers < count]
+def unheard(publishers: Iterable[FlowPublisher], count: int, nodes: Iterable[str]) -> list[str]:
+    """Return which publishers have not so many subscribers, or not those nodes, in words.
+
+    Where it matters who listens the number is not enough: a recorder of rosbag2, or
+    `ros2 topic echo`, is one, too.
+    """
+    missing = []
+    for publisher in publishers:
+        if publisher.subscribers < count:
+            missing.append(f'{publisher.topic} has {publisher.subscribers} of {count} subscribers')
+        if lacking := publisher.lacks(nodes):
+            missing.append(f'{publisher.topic} has no subscriber {", ".join(lacking)}')
+    return missing
 
 
 def when_there(node: Node, missing: Callable[[], list[str]], callback: Callable[[], None],

@@ -21,7 +21,7 @@ is said and counted (`faults`), and the node goes on.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 import time
 from typing import Any
 
@@ -148,13 +148,13 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
                 self.recover()
         return call
 
-    def when_heard(self, count: int, callback: Callable[[], None]) -> None:
-        """Call back when each of the outputs has so many subscribers, not after `deactivate`."""
+    def when_heard(self, count: int, nodes: Iterable[str], callback: Callable[[], None]) -> None:
+        """Call back when each of the outputs has its subscribers, not after `deactivate`."""
         def begin() -> None:
             self._running.remove(timer)         # has ended itself
             callback()
 
-        timer = when_subscribed(self, self.outputs, count, begin)
+        timer = when_subscribed(self, self.outputs, count, nodes, begin)
         self._running.append(timer)
 
     # For the runtime

@@ -47,7 +47,8 @@ class Simulator(AnsweringNode):
 
 def _missing(sensor: FlowPublisher, simulation: SimulationConfig, convoy: Convoy) -> list[str]:
     """Return who must be there before the run begins, and is not, in words."""
-    missing, simulators = unheard([sensor], simulation.wait_for_subscribers), convoy.others
+    missing = unheard([sensor], simulation.wait_for_subscribers, simulation.wait_for_nodes)
+    simulators = convoy.others
     if simulators < simulation.wait_for_simulators:
         missing.append(f'{simulators} of {simulation.wait_for_simulators} other simulators')
     return missing
