@@ -39,6 +39,7 @@ _LEAST_SHAPE_SPOTS = 3
 _NEIGHBOUR_REACH_PX = 2         # of a neighbour's light into a cutout
 _TYPICAL = Shape(0.7, np.zeros(2))       # where too few spots show one
 _ELONGATED_SIGMAS, _ELONGATED_PART = 5.0, 1.0
+_ODD_PART = 0.5                 # of the spots, that can not all be of another shape than theirs
 
 
 @dataclass(frozen=True)
@@ -111,15 +112,27 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
     electrons = config.gain_electrons and config.gain_electrons * light.unit
     # More spots than are wanted may be a crowd of something else than stars.
     many, size = len(spots.flux) > config.max_spots, light.counts.shape
-    shape, gain = _common_shape(
-        cutouts, spots, clear_of_crowds(spots.uv_raster, spots.significance, size) if many
-        else np.argsort(-spots.significance, kind='stable')[:_CANDIDATES],
-        _CANDIDATES if many else _SHAPE_SPOTS, electrons)
     row = (best(spots.uv_raster, spots.flux, size, config.max_spots) if many
            else np.arange(len(spots.flux)))
-    cut, crowded = cutouts(row, shape.half)
-    rough = spots.take(row)
-    found = fit(cut, rough.uv_raster - cut.middle, shape, gain, electrons is not None)
+
+    def measured(clear: Rows, most: int) -> Centroids:
+        shape, gain = _common_shape(cutouts, spots, clear, most, electrons)
+        return _of_shape(*cutouts(row, shape.half), spots.take(row), shape, gain,
+                         electrons is not None, light.unit)
+
+    if not many:
+        found = measured(np.argsort(-spots.significance, kind='stable')[:_CANDIDATES],
+                         _SHAPE_SPOTS)
+        if np.mean(found.flags & ELONGATED > 0) < _ODD_PART:
+            return found
+    # Here, too, where the clearest spots are of another shape than most, such as a line of text.
+    return measured(clear_of_crowds(spots.uv_raster, spots.significance, size), _CANDIDATES)
+
+
+def _of_shape(cut: Cutouts, crowded: Mask, rough: Detections, shape: Shape, gain: float,
+              photons: bool, unit: float) -> Centroids:
+    """Return the centroids of spots that have a shape; `unit` is that of their light [counts]."""
+    found = fit(cut, rough.uv_raster - cut.middle, shape, gain, photons)
     good = found.good
     elongated = np.linalg.eigvalsh(found.moments)[:, 1] > np.maximum(
         _ELONGATED_SIGMAS * found.moments_sigma,
@@ -129,7 +142,7 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
     return Centroids(
         np.where(good[:, None], cut.middle + found.offset, rough.uv_raster),
         np.where(good[:, None, None], found.covariance, rough.moments + np.eye(2)),
-        light.unit * np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape)
+        unit * np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape)
 
 
 def _common_shape(cutouts: Callable[[Rows, int], tuple[Cutouts, Mask]], spots: Detections,

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 import re
 
-from PIL import Image
+from PIL import Image, ImageDraw
 from astropy.io import fits
 from eye import FOV, TRUE, Camera, save
 import numpy as np
@@ -116,6 +116,32 @@ def test_a_tree_does_not_hide_the_stars(images):
         save(images / f'{k}.png', with_a_tree(eye))
     _, found = run(images, '--fov', FOV)
     assert is_right(found) and found['left_out'] == {}
+
+
+def with_text(counts, rng):
+    """Return an image with a line of bright letters at its edge, as cameras write the time."""
+    letters = Image.new('L', (640, 480))
+    ImageDraw.Draw(letters).text((5, 460), '2026-03-05 22:10:00 CAM1 EXP 300ms GAIN 12.5', 255)
+    return np.clip(counts + 60.0 * np.asarray(letters), 0, 65535).astype(np.uint16)
+
+
+def with_aurora(counts, rng):
+    """Return an image with a bright band across it, in rays."""
+    v, u = np.mgrid[:480, :640]
+    light = 2000.0 * np.exp(-((v - 200.0 - 60.0 * np.sin(u / 50.0)) / 40.0)**2)
+    return np.clip(rng.poisson(counts + light * (1.0 + 0.5 * np.sin(u / 4.0))),
+                   0, 65535).astype(np.uint16)
+
+
+@pytest.mark.parametrize('more', [with_text, with_aurora])
+def test_the_clearest_spots_need_not_be_stars(images, more):
+    """Their shape is not that of the stars, which are points all the same."""
+    eye = Camera(seed=11)
+    for k in range(3):
+        save(images / f'{k}.png', more(eye.towards(), eye.rng))
+    _, found = run(images, '--fov', FOV)
+    assert is_right(found) and found['left_out'] == {}
+    assert found['counts']['stars'] > 150
 
 
 def test_a_mask_takes_it_out(images, tmp_path, capsys):
