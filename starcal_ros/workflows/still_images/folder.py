@@ -27,6 +27,7 @@ from starcal_ros.config.image import CentroidConfig
 from starcal_ros.files.output import whole
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.workflows.still_images.measured import Measured, measure
+from starcal_ros.workflows.still_images.repeated import COPY, originals
 from starcal_ros.workflows.still_images.search import StarImage, StarSearch
 
 _ZOOM = 1.03            # focal lengths that differ by more are those of two cameras
@@ -146,7 +147,7 @@ def read(folder: str | PathLike[str], fov_deg: float | None, epoch_utc: str | No
         else:
             found.setdefault(shapes[stars.name], []).append(stars)
     left_out |= search.left_out
-    cameras = [StarImages(width, height, _one_way(images, left_out))
+    cameras = [StarImages(width, height, _once(_one_way(images, left_out), left_out))
                for (height, width), those in found.items() for images in _by_focal_length(those)]
     if not cameras:
         count = len(measured.images) + len(measured.left_out)
@@ -188,6 +189,16 @@ def _one_way(images: list[StarImage], left_out: dict[str, str]) -> tuple[StarIma
             left_out[image.name] = (f'its stars match {how}, unlike those of most images: flip '
                                     'it, top to bottom')
     return tuple(image for image in images if image.mirrored == flipped)
+
+
+def _once(images: tuple[StarImage, ...], left_out: dict[str, str]) -> tuple[StarImage, ...]:
+    """Return one image of each exposure, and name its copies."""
+    rows = originals([image.uv_raster for image in images], [image.sigma for image in images],
+                     [image.catalog_id for image in images])
+    for image, row in zip(images, rows):
+        if images[row] is not image:
+            left_out[image.name] = COPY.format(images[row].name)
+    return tuple(image for image, row in zip(images, rows) if images[row] is image)
 
 
 def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout: Sequence[bool]

@@ -17,6 +17,8 @@ from datetime import datetime, timezone, tzinfo
 from os import PathLike, fspath
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
@@ -29,6 +31,7 @@ from starcal_ros.workflows.still_images import (atmosphere, calibration, clock,
 from starcal_ros.workflows.still_images.calibration import StillImageCamera
 from starcal_ros.workflows.still_images.folder import StarImages
 from starcal_ros.workflows.still_images.measured import Measured, read_mask
+from starcal_ros.workflows.still_images.repeated import COPY, originals
 from starcal_ros.workflows.still_images.table import StillImages
 
 EPOCH = '2020-01-01T00:00:00'
@@ -237,11 +240,22 @@ def of_table(stars_csv: str | PathLike[str], width: int, height: int,
     """
     if conditions.site is not None and conditions.epoch_utc is None:
         raise ConfigError('site: needs the epoch, the time of the images')
-    images = table.read_centroids(fspath(stars_csv), conditions.epoch_utc or EPOCH)
+    images, left_out = _once(
+        table.read_centroids(fspath(stars_csv), conditions.epoch_utc or EPOCH))
     f_px = (opencv_camera.focal_length_of_field(conditions.fov_deg, width) if conditions.fov_deg
             else calibration.focal_length_px(images, width, height))
-    return _above_horizon(Source(fspath(stars_csv), images, width, height, f_px, conditions, {},
-                                 (), {'left_out': {}}))
+    return _above_horizon(Source(fspath(stars_csv), images, width, height, f_px, conditions,
+                                 left_out, (), {'left_out': left_out}))
+
+
+def _once(images: StillImages) -> tuple[StillImages, dict[str, str]]:
+    """Return one image of each exposure, and why its copies are left out."""
+    frames, edges = images.frames, images.frames.first[1:-1]
+    rows = originals(np.split(frames.uv_raster, edges), np.split(frames.sigma, edges),
+                     np.split(frames.catalog_id, edges))
+    kept = rows == np.arange(len(rows))
+    return images.which(kept), {images.names[k]: COPY.format(images.names[rows[k]])
+                                for k in np.flatnonzero(~kept)}
 
 
 def calibrate(source: Source, method: str = 'bundle',
