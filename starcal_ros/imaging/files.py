@@ -16,7 +16,7 @@ import warnings
 
 from starcal_ros.files.limits import LimitError
 from starcal_ros.imaging import fits_file, pillow_file, raw_file, ser_file
-from starcal_ros.imaging.picture import Picture, Plane
+from starcal_ros.imaging.picture import KindError, Picture, Plane
 
 READERS: tuple[tuple[tuple[str, ...], Callable[[Path], Iterator[Plane]]], ...] = (
     (fits_file.SUFFIXES, fits_file.read), (pillow_file.SUFFIXES, pillow_file.read),
@@ -29,9 +29,13 @@ KINDS = 'PNG, TIFF, JPEG, BMP, PGM, WebP, AVIF, HEIC, FITS (.fz, .gz), SER, raw'
 _FRAMES = ('is a film: write its frames as images, such as by ffmpeg -i FILE -pix_fmt gray16be '
            'frame%04d.png')
 _CONVERT = {'.xisf': 'PixInsight: save it as FITS',
-            **{suffix: 'save it as PNG or 16-bit TIFF' for suffix in ('.psd', '.xcf', '.jxl',
-                                                                      '.jp2', '.exr', '.gif')},
-            **{suffix: _FRAMES for suffix in ('.avi', '.mp4', '.mov', '.mkv')}}
+            **{suffix: 'save it as PNG or 16-bit TIFF' for suffix in (
+                '.psd', '.xcf', '.jxl', '.jp2', '.j2k', '.jxr', '.exr', '.gif', '.tga', '.svg',
+                '.pdf', '.dcm')},
+            **{suffix: 'numbers without a head: save them as FITS (astropy.io.fits.writeto)'
+               for suffix in ('.npy', '.npz', '.mat', '.h5', '.hdf5', '.raw')},
+            **{suffix: _FRAMES for suffix in (
+                '.avi', '.mp4', '.mov', '.mkv', '.webm', '.wmv', '.mts', '.m4v', '.mpg')}}
 """Images that are not read, and how they can be."""
 
 
@@ -90,7 +94,7 @@ def pictures(path: str | PathLike[str]) -> Iterator[Picture]:
             if plane is None:
                 break
             picture = Picture.of(plane)
-        except (OSError, LimitError, ImportError) as error:
+        except (OSError, LimitError, ImportError, KindError) as error:
             raise ImageFileError(f'{path}: {" ".join(str(error).split())}') from None
         except Exception as error:      # Pillow and astropy raise of every kind on damaged files
             what = ' '.join(f'{type(error).__name__} {error}'.split())

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from starcal_ros.files.limits import IMAGE
 from starcal_ros.imaging import exposure_time, fits_scan, focal_hint, mosaic
-from starcal_ros.imaging.picture import Plane
+from starcal_ros.imaging.picture import KindError, Plane
 from starcal_ros.imaging.pixels import Scale
 
 SUFFIXES = tuple(kind + packed for kind in ('.fits', '.fit', '.fts')
@@ -37,6 +37,7 @@ _BYTES_A_PIXEL = 8 * fits_scan.COLOURS
 _NO_SKY = ('MASK', 'DQ', 'BPM', 'ERR', 'VAR', 'WEIGHT', 'WHT', 'UNCERT', 'FLAG', 'SEG')
 """Beginnings of the names of units that hold something about the pixels of another one."""
 _LEAST_SIDE, _LEAST_LEVELS = 16, 5
+_STAR_SIGMAS, _STAR_PIXELS, _MOST_PIXELS = 10.0, 4, 10_000_000
 _UNPACK_S = 120.0
 _UNPACK = """
 import sys
@@ -79,12 +80,13 @@ def read(path: Path) -> Iterator[Plane]:
 
 def _planes(pixels: NDArray[Any]) -> Iterator[NDArray[Any]]:
     """Yield the images of an array: planes of colour together, all others one by one."""
-    while pixels.ndim > 2 and len(pixels) == 1:
-        pixels = pixels[0]
-    if pixels.ndim == 3 and len(pixels) == 3:
+    if pixels.ndim > 2 and len(pixels) == 1:
+        yield from _planes(pixels[0])
+    elif pixels.ndim == 3 and len(pixels) == 3:
         yield np.moveaxis(pixels, 0, -1)
-    elif pixels.ndim == 3 and pixels.shape[2] > 4:
-        yield from pixels
+    elif pixels.ndim > 3 or pixels.ndim == 3 and pixels.shape[2] > 4:
+        for part in pixels:
+            yield from _planes(part)
     else:
         yield pixels
 
@@ -93,6 +95,7 @@ def _sky(path: Path) -> _Unit:
     """Return the first unit that can be a sky, or the first with any pixels."""
     from astropy.io import fits  # here, because it takes a quarter of a second
     first: _Unit | None = None
+    likely: _Unit | None = None
     with fits.open(path) as units:
         primary = units[0].header
         for index, unit in enumerate(units):
@@ -111,10 +114,13 @@ def _sky(path: Path) -> _Unit:
             note = f'unit {index} of {len(units)} is taken' if first else ''
             first = first or _Unit(header, pixels, '')
             if not str(unit.name).upper().startswith(_NO_SKY) and _varies(pixels):
-                return _Unit(header, pixels, note)
-    if first is None:
-        raise ValueError('no image in it')
-    return first
+                likely = likely or _Unit(header, pixels, note)
+                if _shows_stars(pixels):
+                    return _Unit(header, pixels, note)
+    found = likely or first
+    if found is None:
+        raise KindError('no image in it')
+    return found
 
 
 def _varies(pixels: NDArray[Any]) -> bool:
@@ -122,6 +128,17 @@ def _varies(pixels: NDArray[Any]) -> bool:
     if pixels.ndim < 2 or min(pixels.shape[-2:]) < _LEAST_SIDE:
         return False
     return len(np.unique(pixels.ravel()[::max(1, pixels.size // 100_000)])) >= _LEAST_LEVELS
+
+
+def _shows_stars(pixels: NDArray[Any]) -> bool:
+    """Tell a sky from a flat field or a map of weights: it has bright pixels, and no dark ones."""
+    known = pixels[np.isfinite(pixels)][:_MOST_PIXELS].astype(float)
+    if not len(known):
+        return False
+    low, level = np.percentile(known, [16.0, 50.0])
+    far = _STAR_SIGMAS * (level - low)
+    bright, dark = (int(np.count_nonzero(off > far)) for off in (known - level, level - known))
+    return bright >= _STAR_PIXELS and bright > _STAR_PIXELS * dark
 
 
 def _pattern(header: Mapping[str, Any]) -> str:

@@ -14,6 +14,10 @@ from starcal_ros.imaging import mosaic
 from starcal_ros.imaging.pixels import Scale, grey
 
 
+class KindError(ValueError):
+    """A file is whole, but of a kind that is not read; the message says how to convert it."""
+
+
 class Plane(NamedTuple):
     """An image of a file.
 
@@ -80,14 +84,14 @@ class Picture(NamedTuple):
 
         Raises
         ------
-        ValueError
+        KindError
             Where it is no image of one to four channels.
         """
         pixels, scale = plane.pixels, plane.scale
         channels = pixels.shape[2] if pixels.ndim == 3 else 1
         if pixels.ndim not in (2, 3) or channels > 4 or not pixels.size:
-            raise ValueError(f'pixels of shape {pixels.shape}; one image expected, grey or with '
-                             'colours')
+            raise KindError(f'pixels of shape {pixels.shape}; one image expected, grey or with '
+                            'colours')
         with np.errstate(over='ignore'):
             counts = pixels.astype(np.float32)
         if channels > 2:

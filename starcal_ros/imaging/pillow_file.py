@@ -12,13 +12,13 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from PIL import Image, ImageFile
+from PIL import Image, ImageFile, UnidentifiedImageError
 import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.files.limits import IMAGE
 from starcal_ros.imaging import exposure_time, focal_hint
-from starcal_ros.imaging.picture import Plane
+from starcal_ros.imaging.picture import KindError, Plane
 from starcal_ros.imaging.pixels import Scale
 
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', '.bmp', '.pgm', '.ppm', '.pnm', '.webp',
@@ -28,7 +28,11 @@ _CODED = ('P', 'CMYK', 'YCbCr', 'LAB', 'HSV')
 _FOREIGN = '16B' if sys.byteorder == 'little' else '16L'
 _OTHER_BYTE = {';16B': ';16L', ';16L': ';16B', ';16N': f';{_FOREIGN}'}
 """How Pillow has to be told the order of bytes to get, for the upper of two, the lower one."""
-_HEIF = ('.heic', '.heif')
+_HEIF = b'heic', b'heix', b'heim', b'heis', b'hevc', b'hevx', b'mif1', b'msf1'
+"""What such a file says of itself after its first eight bytes, ....ftyp."""
+_BITS, _INK, _LAYOUT = 258, 262, 284        # tags of TIFF
+_WHITE_IS_0, _PLANAR = 0, 2
+_PLANES = 'RGBA'
 
 
 def read(path: Path) -> Iterator[Plane]:
@@ -39,9 +43,12 @@ def read(path: Path) -> Iterator[Plane]:
     ImportError, ValueError, OSError
         Where it can not be read; Pillow raises of other kinds on damaged files.
     """
-    if path.suffix.lower() in _HEIF:
+    with path.open('rb') as stream:
+        head = stream.read(12)
+    if path.suffix.lower() in ('.heic', '.heif') or (       # or whatever it is called
+            head[4:8] == b'ftyp' and head[8:] in _HEIF):
         _learn_heif()
-    with Image.open(path) as picture:
+    with _opened(path) as picture:
         IMAGE.check(picture.width * picture.height, 'an image')
         size, pages = picture.size, getattr(picture, 'n_frames', 1)
         for page in range(pages if picture.format == 'TIFF' else 1):
@@ -53,6 +60,14 @@ def read(path: Path) -> Iterator[Plane]:
             exif = picture.getexif()
             yield Plane(pixels, scale, exposure_time.of_exif(exif),
                         focal_px=focal_hint.of_exif(exif, *size))
+
+
+def _opened(path: Path) -> Image.Image:
+    try:
+        return Image.open(path)
+    except UnidentifiedImageError:
+        raise KindError('cannot identify image: none, or of a kind that is not read, such as '
+                        'floats of three colours: save it as FITS or 16-bit TIFF') from None
 
 
 def decoded(data: bytes, formats: tuple[str, ...]) -> NDArray[Any]:
@@ -95,8 +110,11 @@ def _pixels(path: Path | BytesIO, picture: Image.Image, page: int) -> tuple[NDAr
     if isinstance(path, Path) and picture.format == 'PPM' and picture.mode == 'RGB' and (
             _tiles(picture)[0][0] == 'ppm'):
         return _wide_ppm(path, picture)
+    tags = getattr(picture, 'tag_v2', {})       # of TIFF
+    if tags.get(_LAYOUT) == _PLANAR and max(tags[_BITS]) > 8:
+        return _planar(path, picture, tags)
     if raw.startswith('LA;16'):
-        raise ValueError('16 bits of grey with alpha: save it without alpha')
+        raise KindError('16 bits of grey with alpha: save it without alpha')
     if picture.mode in ('RGB', 'RGBA') and raw[-4:] in _OTHER_BYTE:
         high = np.asarray(picture)[..., :3].astype(np.uint16)
         with Image.open(path) as again:
@@ -108,7 +126,28 @@ def _pixels(path: Path | BytesIO, picture: Image.Image, page: int) -> tuple[NDAr
     pixels = np.asarray(picture.convert('RGB') if picture.mode in _CODED else picture)
     if picture.mode == 'I':                 # Pillow reads 16 bits of some formats into 32
         return pixels, Scale(65535.0 if pixels.max(initial=0) <= 65535 else np.inf, 1.0)
+    if tags.get(_INK) == _WHITE_IS_0 and pixels.dtype == np.uint16:    # of 8 bits Pillow does it
+        pixels = np.uint16(65535) - pixels
     return pixels, Scale.of(pixels.dtype)
+
+
+def _planar(path: Path | BytesIO, picture: Image.Image, tags: Any) -> tuple[NDArray[Any], Scale]:
+    """Read TIFF of 16 bits with one colour after the other, of which Pillow takes single bytes."""
+    tiles, sizes = _tiles(picture), tags[_BITS]
+    if not isinstance(path, Path) or {tile.codec_name for tile in tiles} != {'raw'} or (
+            set(sizes) != {16}):
+        raise KindError('more than 8 bits of one colour after the other, packed: save it with '
+                        'the colours of a pixel together, or as FITS')
+    kind = np.dtype('<u2' if tags.prefix == b'II' else '>u2')
+    planes = np.zeros((len(sizes), picture.height, picture.width), np.uint16)
+    with path.open('rb') as stream:
+        for tile in tiles:
+            left, top, right, bottom = tile.extents
+            stream.seek(tile.offset)
+            data = stream.read((right - left) * (bottom - top) * kind.itemsize)
+            planes[_PLANES.index(tile.args[0]), top:bottom, left:right] = np.frombuffer(
+                data, kind).reshape(bottom - top, right - left)
+    return np.moveaxis(planes[:3], 0, -1), Scale(65535.0, 1.0)
 
 
 def _raw_mode(picture: Image.Image) -> str:
@@ -137,7 +176,7 @@ def _wide_ppm(path: Path, picture: Image.Image) -> tuple[NDArray[Any], Scale]:
     kind = np.dtype('>u2' if largest > 255 else 'u1')
     with path.open('rb') as stream:
         if stream.read(2) != b'P6':
-            raise ValueError('PPM as text: save it as PNG or as binary PPM')
+            raise KindError('PPM as text: save it as PNG or as binary PPM')
         stream.seek(tile.offset)
         data = stream.read(3 * picture.width * picture.height * kind.itemsize)
     return (np.frombuffer(data, kind).reshape(picture.height, picture.width, 3),

@@ -16,10 +16,12 @@ import numpy as np
 from starcal_ros.files.limits import IMAGE
 from starcal_ros.imaging import exposure_time, focal_hint
 from starcal_ros.imaging.mosaic import PATTERNS
-from starcal_ros.imaging.picture import Plane
+from starcal_ros.imaging.picture import KindError, Plane
 from starcal_ros.imaging.pixels import Scale
 
-SUFFIXES = ('.dng', '.cr2', '.cr3', '.nef', '.arw', '.orf', '.rw2', '.raf', '.pef', '.srw')
+SUFFIXES = ('.dng', '.cr2', '.cr3', '.crw', '.nef', '.nrw', '.arw', '.sr2', '.srf', '.orf', '.rw2',
+            '.rwl', '.raf', '.pef', '.srw', '.x3f', '.3fr', '.fff', '.iiq', '.erf', '.kdc', '.dcr',
+            '.mrw', '.gpr')
 
 
 def read(path: Path) -> Iterator[Plane]:
@@ -29,7 +31,7 @@ def read(path: Path) -> Iterator[Plane]:
     ------
     ImportError
         Where rawpy is missing.
-    ValueError
+    KindError
         Where its colour filters are not those of Bayer.
     """
     try:
@@ -46,8 +48,8 @@ def read(path: Path) -> Iterator[Plane]:
             colours = raw.color_desc.decode()
             pattern = ''.join(colours[k] for k in raw.raw_colors_visible[:2, :2].ravel())
             if pattern not in PATTERNS or raw.raw_pattern.shape != (2, 2):
-                raise ValueError(f'colour filters {pattern} of {raw.raw_pattern.shape}, those of '
-                                 'Bayer are read: convert it to 16-bit TIFF')
+                raise KindError(f'colour filters {pattern} of {raw.raw_pattern.shape}, those of '
+                                'Bayer are read: convert it to 16-bit TIFF')
         taken, focal_px = _told(path, pixels.shape[1], pixels.shape[0])
         yield Plane(pixels, Scale(float(raw.white_level), 1.0), taken, pattern, focal_px=focal_px)
 

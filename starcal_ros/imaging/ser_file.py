@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.files.limits import IMAGE
-from starcal_ros.imaging.picture import Plane
+from starcal_ros.imaging.picture import KindError, Plane
 from starcal_ros.imaging.pixels import Scale
 
 _MAGIC = b'LUCAM-RECORDER'
@@ -38,7 +38,7 @@ def read(path: Path) -> Iterator[Plane]:
     with path.open('rb') as stream:
         head = stream.read(_HEAD.size)
         if len(head) < _HEAD.size or not head.startswith(_MAGIC):
-            raise ValueError('no SER: it does not begin with LUCAM-RECORDER')
+            raise KindError('no SER: it does not begin with LUCAM-RECORDER')
         _, _, colour, _, width, height, depth, count, *_ = _HEAD.unpack(head)
         if min(width, height, count) < 1 or not 1 <= depth <= 16:
             raise ValueError(f'{count} frames of {width} x {height} pixels of {depth} bits')

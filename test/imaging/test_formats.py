@@ -17,6 +17,7 @@ from starcal_ros.imaging.files import ImageFileError, image_files, load, picture
 
 RNG = np.random.default_rng(1)
 SKY = RNG.normal(300.0, 12.0, (48, 64)).clip(0).astype(np.uint16)
+SKY[20:22, 30:33] = 4000        # a star
 COLOUR = np.stack([SKY, SKY + 40, SKY + 17], axis=-1)
 GREY = (COLOUR @ np.array([0.299, 0.587, 0.114])).astype(np.float32)
 
@@ -37,15 +38,20 @@ def png16(path, pixels):
         + part(b'IDAT', zlib.compress(rows)) + part(b'IEND', b''))
 
 
-def tiff16(path, pixels, order):
-    """Write 16-bit colours as TIFF of an order of bytes."""
+def tiff16(path, pixels, order, planar=False):
+    """Write 16-bit colours as TIFF of an order of bytes, together or one after the other."""
     height, width, channels = pixels.shape
     mark = '<' if order == 'II' else '>'
-    data = pixels.astype(mark + 'u2').tobytes()
-    tags = [(256, 3, 1, width), (257, 3, 1, height), (258, 3, channels, 8 + len(data)),
-            (259, 3, 1, 1), (262, 3, 1, 2), (273, 4, 1, 8), (277, 3, 1, channels),
-            (278, 3, 1, height), (279, 4, 1, len(data))]
+    data = (np.moveaxis(pixels, -1, 0) if planar else pixels).astype(mark + 'u2').tobytes()
+    end, parts = 8 + len(data), channels if planar else 1
+    tags = [(256, 3, 1, width), (257, 3, 1, height), (258, 3, channels, end),
+            (259, 3, 1, 1), (262, 3, 1, 2), (273, 4, parts, end + 6 if planar else 8),
+            (277, 3, 1, channels), (278, 3, 1, height),
+            (279, 4, parts, end + 18 if planar else len(data)), (284, 3, 1, 2 if planar else 1)]
     bits = struct.pack(f'{mark}{channels}H', *[16] * channels)
+    if planar:
+        size = len(data) // channels
+        bits += struct.pack(f'{mark}6I', *[8 + k * size for k in range(3)], *[size] * 3)
     head = order.encode() + struct.pack(mark + 'HI', 42, 8 + len(data) + len(bits))
     entries = b''.join(
         struct.pack(mark + 'HHI', tag, kind, count)
@@ -55,7 +61,8 @@ def tiff16(path, pixels, order):
                      + struct.pack(mark + 'I', 0))
 
 
-@pytest.mark.parametrize('kind', ['png', 'png with alpha', 'tiff II', 'tiff MM', 'ppm'])
+@pytest.mark.parametrize('kind', ['png', 'png with alpha', 'tiff II', 'tiff MM', 'ppm',
+                                  'tiff planar II', 'tiff planar MM'])
 def test_colours_of_16_bits_keep_them(tmp_path, kind):
     path = tmp_path / f'a.{kind.split()[0]}'
     if kind == 'png':
@@ -65,7 +72,7 @@ def test_colours_of_16_bits_keep_them(tmp_path, kind):
     elif kind == 'ppm':
         path.write_bytes(b'P6\n64 48\n4095\n' + COLOUR.astype('>u2').tobytes())
     else:
-        tiff16(path, COLOUR, kind[-2:])
+        tiff16(path, COLOUR, kind[-2:], 'planar' in kind)
     picture = load(path)
     np.testing.assert_allclose(picture.counts, GREY, rtol=1e-6)
     assert picture.scale == ((4095.0 if kind == 'ppm' else 65535.0), 1.0)
@@ -73,8 +80,24 @@ def test_colours_of_16_bits_keep_them(tmp_path, kind):
 
 def test_what_would_be_cut_is_refused(tmp_path):
     png16(tmp_path / 'a.png', np.dstack([SKY, np.full(SKY.shape, 65535)]))
-    with pytest.raises(ImageFileError, match='16 bits of grey with alpha: save it without'):
+    with pytest.raises(ImageFileError, match='a.png: 16 bits of grey with alpha: save it without'):
         load(tmp_path / 'a.png')
+
+
+def test_a_tiff_may_have_white_at_0(tmp_path):
+    Image.fromarray((65535 - SKY).astype(np.uint16)).save(tmp_path / 'a.tif', tiffinfo={262: 0})
+    np.testing.assert_array_equal(load(tmp_path / 'a.tif').counts, SKY)
+
+
+def test_what_a_name_does_not_tell(tmp_path, monkeypatch):
+    """A phone's picture is HEIC whatever it is called; other contents are said to be unknown."""
+    monkeypatch.setitem(sys.modules, 'pillow_heif', None)
+    (tmp_path / 'a.jpg').write_bytes(b'\0\0\0\x18ftypheic' + bytes(100))
+    with pytest.raises(ImageFileError, match='to read HEIC, pillow-heif is needed'):
+        load(tmp_path / 'a.jpg')
+    (tmp_path / 'b.tif').write_bytes(b'anything')
+    with pytest.raises(ImageFileError, match='floats of three colours: save it as FITS or 16-bit'):
+        load(tmp_path / 'b.tif')
 
 
 @pytest.mark.parametrize('name', ['a.bmp', 'a.pgm', 'a.webp', 'a.avif'])
@@ -106,10 +129,12 @@ def test_packed_fits_is_read(tmp_path, name):
     np.testing.assert_array_equal(load(tmp_path / name).counts, SKY[::-1])
 
 
-@pytest.mark.parametrize('first', ['thumbnail', 'mask', 'named'])
+@pytest.mark.parametrize('first', ['thumbnail', 'mask', 'named', 'flat', 'preview'])
 def test_of_several_units_the_first_sky_is_taken(tmp_path, first):
     units = {'thumbnail': fits.ImageHDU(SKY[:4, :4]), 'mask': fits.ImageHDU((SKY > 300) * 1),
-             'named': fits.ImageHDU(SKY // 2, name='DQ')}
+             'named': fits.ImageHDU(SKY // 2, name='DQ'),
+             'flat': fits.ImageHDU(np.random.default_rng(1).normal(1.0, 0.01, (48, 64))),
+             'preview': fits.ImageHDU(np.random.default_rng(1).random((20, 20)))}
     primary = fits.PrimaryHDU()
     primary.header['DATE-OBS'] = '2026-07-02T12:00:00'
     fits.HDUList([primary, units[first], fits.ImageHDU(SKY.reshape(1, 1, 48, 64))]
@@ -131,6 +156,12 @@ def test_planes_pages_and_frames_are_images(tmp_path):
         assert len(found) == 5
         for picture, plane in zip(found, cube):
             np.testing.assert_array_equal(picture.counts, plane[::turn])
+    for shape, count in (((5, 1), 5), ((1, 5), 5), ((2, 2), 4), ((2, 3), 2)):
+        planes = np.broadcast_to(SKY, (*shape, *SKY.shape))
+        fits.PrimaryHDU(planes).writeto(tmp_path / 'b.fits', overwrite=True)
+        found = list(pictures(tmp_path / 'b.fits'))
+        assert len(found) == count, shape
+        np.testing.assert_allclose(found[-1].counts, SKY[::-1], rtol=1e-6)
 
 
 def ser(path, frames, colour=0, depth=16, order='<', stamps=()):
@@ -180,7 +211,8 @@ def test_pixels_without_a_value_are_not_known(tmp_path, mark):
 
 
 @pytest.mark.parametrize('name, advice', [
-    ('a.xisf', 'PixInsight: save it as FITS'), ('a.mp4', 'is a film: write its frames as images'),
+    ('a.xisf', 'PixInsight: save it as FITS'), ('a.npy', 'numbers without a head: save them as'),
+    ('a.mp4', 'is a film: write its frames as images'),
     ('a.psd', 'save it as PNG or 16-bit TIFF'), ('a.txt', 'no image by its name; PNG, TIFF')])
 def test_what_is_not_read_says_how_it_can_be(tmp_path, name, advice):
     (tmp_path / name).write_bytes(b'anything')
