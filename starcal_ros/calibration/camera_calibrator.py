@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
-from starcal_ros.calibration import camera_verdict
+from starcal_ros.calibration import camera_verdict, residual_trends
 from starcal_ros.calibration.camera_verdict import CameraVerdict
 from starcal_ros.calibration.frame_sample import FrameSample
 from starcal_ros.calibration.method import CameraMethod
 from starcal_ros.calibration.residual_tests import Consistency
+from starcal_ros.config.models import detector
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.measurements.intake import Change, Intake
@@ -80,6 +82,14 @@ class CameraCalibrator:
         if isinstance(own, Consistency):
             found = found.beside(own)
         return camera_verdict.judge(found, estimate, self._scenario)
+
+    def trends(self, estimate: CameraEstimate) -> dict[str, list[dict[str, Any]]]:
+        """Return how residuals depend on pixel, magnitude and colour; empty without numbers."""
+        fitted = camera_verdict.held(self._sample.frames, estimate, self._scenario)
+        if isinstance(fitted, str):
+            return {}
+        return residual_trends.of_stars(fitted.stars, fitted.catalog_id[fitted.adjusted.used],
+                                        detector(self._scenario.camera))
 
     def take_notices(self) -> list[str]:
         """Return what happened that a user should know, once."""

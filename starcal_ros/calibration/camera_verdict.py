@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from starcal_ros.calibration import held_camera, residual_tests
+from starcal_ros.calibration.held_camera import HeldFit
 from starcal_ros.calibration.residual_tests import Consistency
 from starcal_ros.config.models import detector, of_intrinsics, own_focal_sigma_mm, star_gate
 from starcal_ros.config.scenario import Scenario
@@ -177,7 +178,19 @@ def of_prior(estimate: CameraEstimate, before: Array, names: tuple[str, ...],
 
 def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
               most_stars: int = STARS) -> Consistency:
-    """Test a camera with identified stars of a recording.
+    """Test a camera with identified stars of a recording; as `held`."""
+    fitted = held(frames, estimate, scenario, most_stars)
+    if isinstance(fitted, str):
+        return Consistency(why=fitted)
+    walk = of_intrinsics(scenario.estimator.process_noise)[estimate.sigma > 0.0]
+    return residual_tests.consistency(
+        fitted.stars, estimate, detector(scenario.camera),
+        gated_nis(scenario.estimator.gate_probability), walks=bool(walk.any()))
+
+
+def held(frames: Frames, estimate: CameraEstimate, scenario: Scenario, most_stars: int = STARS
+         ) -> HeldFit | str:
+    """Return frames with the camera held, or why there is nothing to fit.
 
     Parameters
     ----------
@@ -190,7 +203,7 @@ def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
         That are looked at; one frame at least.
     """
     if not (frames.catalog_id > 0).any():
-        return Consistency(why=UNIDENTIFIED)
+        return UNIDENTIFIED
     stars = len(frames.catalog_id)
     if stars > most_stars:
         frames = frames.take(np.linspace(
@@ -199,7 +212,7 @@ def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
     counts = np.bincount(frames.frame_index, np.isfinite(found.sigma), len(frames))
     enough = counts >= LEAST_STARS
     if not enough.any():
-        return Consistency(why=NO_FRAME)
+        return NO_FRAME
     # The gate counts in the scale of the residuals, of which an attitude takes its share.
     mean = float(counts[enough].mean())
     gate = star_gate(scenario.estimator) * 2.0 * mean / (2.0 * mean - 3.0)
@@ -209,9 +222,4 @@ def of_frames(frames: Frames, estimate: CameraEstimate, scenario: Scenario,
             Tan2018Lens(scenario.camera.pixel_pitch_mm), gate, own_focal_sigma_mm(scenario))
     except np.linalg.LinAlgError:
         fitted = None
-    if fitted is None:
-        return Consistency(why=NO_FIT)
-    walk = of_intrinsics(scenario.estimator.process_noise)[estimate.sigma > 0.0]
-    return residual_tests.consistency(
-        fitted.stars, estimate, detector(scenario.camera),
-        gated_nis(scenario.estimator.gate_probability), walks=bool(walk.any()))
+    return NO_FIT if fitted is None else fitted

@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from starcal_ros.calibration.fitted_stars import FittedStars
 from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.camera import Detector
+from starcal_ros.sky import catalog
 
 PARTS = 10
 _LEAST = 5              # stars of a part
@@ -40,6 +43,22 @@ def trends(uv_raster: Array, residual: Array, magnitude: Array, colour: Array
         known = np.isfinite(values)
         found[name] = _parts(values[known], residual[known], _quantiles(values[known]))
     return found
+
+
+def of_stars(stars: FittedStars, catalog_id: Ints, detector: Detector
+             ) -> dict[str, list[dict[str, Any]]]:
+    """Return the trends of stars that were fitted; their brightness is that of the catalogue.
+
+    Parameters
+    ----------
+    stars : FittedStars
+    catalog_id : (n,) int64 array
+        Their numbers.
+    detector : Detector
+    """
+    known = catalog.load_containing(catalog_id)
+    return trends(stars.uv + detector.centre_raster, stars.z * stars.sigma[:, None],
+                  stars.magnitude, known.colour[known.rows(catalog_id)])
 
 
 def _quantiles(values: Array) -> Ints:

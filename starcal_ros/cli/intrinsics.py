@@ -156,7 +156,8 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
             f'{(frames.catalog_id > 0).sum()} of them identified')
     outcome = {'method': scenario.intrinsics.method, **result.camera(estimate),
                'detector': result.of_detector(detector(scenario.camera)),
-               **judged.as_dict(), 'provenance': result.provenance(scenario, recording)}
+               **judged.as_dict(), 'residual_trends': method.trends(estimate),
+               'provenance': result.provenance(scenario, recording)}
     truth, doubts = attached_truth(recording.attachments)
     for text in doubts:
         say(f'warning: {text}')

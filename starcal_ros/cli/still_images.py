@@ -28,6 +28,16 @@ _OF_TABLE = ('width', 'height')
 _OF_FOLDER = ('heldout', 'saturation', 'mask', 'stars', 'annotate', 'utc_offset')
 _OF_BOTH = ('lens', 'pixel_phase', 'fov', 'epoch', 'aberration', 'site', 'pressure',
             'temperature', 'report', 'light_report')
+_OF_FILE = 'the parameter file of a recording has '
+_IN_RECORDINGS = {
+    'report': 'starcal calibrate reports on a recording',
+    'light_report': 'starcal calibrate reports on a recording',
+    'pixel_phase': 'starcal calibrate estimates it with estimator.augment.pixel_phase_sigma_px',
+    'aberration': _OF_FILE + 'observer.velocity', 'site': _OF_FILE + 'observer.site_deg',
+    'pressure': _OF_FILE + 'observer.site_pressure_hpa',
+    'temperature': _OF_FILE + 'observer.site_temperature_c',
+    'saturation': _OF_FILE + 'image.centroid.saturation_counts'}
+"""What there is instead for a recording with a parameter file."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,9 +106,9 @@ def refuse_unused(options: argparse.Namespace, recording: bool) -> None:
     if recording:
         for name in given((*_OF_BOTH, *_OF_FOLDER, *_OF_TABLE)):
             shown = name.replace('_', '-')
+            instead = _IN_RECORDINGS.get(name)
             raise ConfigError(f'--{shown}: is for still images, {options.source} is a recording'
-                              + ('; starcal calibrate reports on a recording'
-                                 if 'report' in name else ''))
+                              + (f'; {instead}' if instead else ''))
         return
     for name in given(_OF_FOLDER if options.centroids else _OF_TABLE):
         raise ConfigError(f'--{name.replace("_", "-")}: is for '

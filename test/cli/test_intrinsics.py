@@ -102,6 +102,8 @@ def test_calibrate_refuses_a_recording_without_gyro(bag):
     (['--combination-model', '5'], 'intrinsics.combination_model: got 5'),
     (['--method', 'guess'], "got 'guess', allowed are"),
     (['--report', 'x.html'], '--report: is for still images'),
+    (['--site', '40,3'], 'parameter file of a recording has observer.site_deg'),
+    (['--pixel-phase'], 'with estimator.augment.pixel_phase_sigma_px'),
 ])
 def test_wrong_options_are_named(words, culprit, bag, capsys):
     config = [] if '--report' in words else ['--config', str(CONFIG)]

@@ -242,6 +242,14 @@ def test_images_in_a_recording_give_the_camera_of_a_folder(tmp_path):
                                                               abs=other['sigma']['f_px'])
     assert one['counts']['stars'] == pytest.approx(other['counts']['stars'], rel=0.05)
     assert one['assumed'] == []
+    for name, parts in one['residual_trends'].items():
+        mean, sigma, stills_mean = (
+            np.array([part[key] for part in which]) for which, key in (
+                (parts, 'mean_px'), (parts, 'sigma_of_mean_px'),
+                (other['residual_trends'][name], 'mean_px')))
+        assert np.abs(mean - stills_mean).max() < 4.0 * sigma.max(), name
+    along_u = [part['mean_px'][0] for part in one['residual_trends']['pixel_u']]
+    assert max(along_u) > 0.05 > -0.05 > min(along_u), 'its pixels draw the centroids'
     # Without a word on the camera they are such a folder.
     alone, page = tmp_path / 'alone.json', tmp_path / 'page.html'
     assert main(['intrinsics', str(path), '--fov', '14.3', '--out', str(alone), '--report',

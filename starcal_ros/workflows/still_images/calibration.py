@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from starcal_ros.calibration import camera_verdict, held_camera, lens_bundle, residual_tests
+from starcal_ros.calibration import (camera_verdict, held_camera, lens_bundle, residual_tests,
+                                     residual_trends)
 from starcal_ros.calibration.bundle_adjustment import Adjusted
 from starcal_ros.calibration.bundle_problem import MIN_STARS, Observations
 from starcal_ros.calibration.camera_verdict import CameraVerdict
@@ -27,7 +28,6 @@ from starcal_ros.calibration.fitted_stars import FittedStars
 from starcal_ros.calibration.lens_bundle import LensStart
 from starcal_ros.calibration.lens_choice import LensChoice
 from starcal_ros.calibration.residual_tests import Consistency
-from starcal_ros.calibration.residual_trends import trends
 from starcal_ros.config.models import detector, star_gate
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario, from_flat
@@ -40,7 +40,6 @@ from starcal_ros.core.statistic import Statistic
 from starcal_ros.filter.innovation_tests import gated_nis
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
-from starcal_ros.sky import catalog
 from starcal_ros.sky.refraction import Site
 from starcal_ros.workflows.still_images import lens as lens_models, one_camera, opencv_camera
 from starcal_ros.workflows.still_images.one_camera import OwnCamera
@@ -149,12 +148,9 @@ class StillImageCamera:
     @property
     def trends(self) -> dict[str, list[dict[str, Any]]]:
         """How the residuals of fitted images depend on pixel, magnitude and colour."""
-        fit = self.fit
-        used, number = fit.adjusted.used, fit.catalog_id[fit.adjusted.used]
-        stars = catalog.load_containing(number)
-        return trends(fit.stars.uv + detector(self.scenario.camera).centre_raster,
-                      fit.adjusted.residual[used], fit.stars.magnitude,
-                      stars.colour[stars.rows(number)])
+        return residual_trends.of_stars(
+            self.fit.stars, self.fit.catalog_id[self.fit.adjusted.used],
+            detector(self.scenario.camera))
 
     @property
     def refused(self) -> float:
