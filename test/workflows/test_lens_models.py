@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from eye import FOV, Camera, save
 from starcal_ros.cli import main
 from starcal_ros.core import lenses, rotation
 from starcal_ros.core.camera import Detector
@@ -125,6 +126,22 @@ def test_where_no_lens_fits_it_is_said(tmp_path, capsys):
     assert status == 4
     assert (f'no lens model fits, none predicts much better than {found["lens"]}'
             in capsys.readouterr().out.replace('\n', ' '))
+
+
+def test_a_lens_that_lacks_little_is_not_the_last_one(tmp_path, capsys):
+    """A fisheye without decentring predicts a decentred pinhole of 15 deg by a tenth as well."""
+    pytest.importorskip('tetra3rs')
+    eye, folder = Camera(seed=21), tmp_path / 'sky'
+    folder.mkdir()
+    for k in range(5):
+        save(folder / f'{k}.png', eye.towards())
+    stars = tmp_path / 'stars.csv'
+    assert main(['intrinsics', str(folder), '--fov', FOV, '--stars', str(stars)]) == 0
+    capsys.readouterr()
+    words = ['intrinsics', '--centroids', str(stars), '--width', '640', '--height', '480']
+    assert main([*words, '--lens', 'kannala_brandt']) == 4
+    said = capsys.readouterr().out.replace('\n', ' ')
+    assert 'plumb_bob predicts about as well, RMS 0.0' in said and 'no lens model' not in said
 
 
 @pytest.mark.slow
