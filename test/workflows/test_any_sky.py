@@ -11,6 +11,7 @@ from astropy.io import fits
 from eye import FOV, TRUE, Camera, save
 import numpy as np
 import pytest
+from scipy.ndimage import convolve
 
 from starcal_ros.cli import main
 from starcal_ros.workflows.still_images import search
@@ -142,6 +143,24 @@ def test_the_clearest_spots_need_not_be_stars(images, more):
     _, found = run(images, '--fov', FOV)
     assert is_right(found) and found['left_out'] == {}
     assert found['counts']['stars'] > 150
+
+
+@pytest.mark.parametrize('count', [60, 300])
+def test_hot_pixels_stand_still_and_stars_do_not(images, count, capsys):
+    """Spread by the interpolation of colours they are spots, brighter than most stars."""
+    eye = Camera(seed=11)
+    hot = np.zeros((480, 640))
+    hot[tuple(eye.rng.integers(2, 470, (2, count)))] = eye.rng.uniform(2e3, 2e4, count)
+    hot = convolve(hot, np.outer([0.5, 1.0, 0.5], [0.5, 1.0, 0.5]))
+    for k in range(4):
+        counts = np.clip(eye.towards() + eye.rng.poisson(hot), 0, 65535)
+        save(images / f'{k}.png', counts.astype(np.uint16))
+    status, found = run(images, '--fov', FOV)
+    if count == 60:
+        assert is_right(found) and found['left_out'] == {}
+    else:                               # of 200 spots hardly any is a star
+        assert status == 1
+        assert 'of them are at the same place in most images: hot' in capsys.readouterr().err
 
 
 def test_a_mask_takes_it_out(images, tmp_path, capsys):

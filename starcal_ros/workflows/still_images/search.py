@@ -16,18 +16,18 @@ from datetime import datetime, timezone, tzinfo
 import numpy as np
 
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
                                                    MirroredError)
-from starcal_ros.imaging.centroids import Centroids
 from starcal_ros.imaging.spread import rank_in_cell
 from starcal_ros.sky import depth
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.workflows.still_images import why_not
 from starcal_ros.workflows.still_images.measured import Measured
+from starcal_ros.workflows.still_images.standing import standing
 
 FIELD_DEG = (8.0, 40.0)
 """Fields of view across the width in which a camera of unknown field is looked for first."""
@@ -116,6 +116,7 @@ class StarSearch:
         self._known: dict[tuple[int, int], list[float]] = {}
         self._zone = zone
         self._tried: dict[str, Field] = {}
+        self._standing: dict[str, Mask] = {}
         self.left_out: dict[str, str] = {}
 
     @property
@@ -135,6 +136,7 @@ class StarSearch:
             Where tetra3rs is missing.
         """
         found: dict[str, StarImage] = {}
+        self._standing = standing(measured)
         for k, image in enumerate(measured):
             self._try(image, self._first(image), found)
             on_progress((k + 1) / len(measured))
@@ -194,17 +196,18 @@ class StarSearch:
                 CameraGuess.of_field(Detector(width, height, 1.0), *field), self._observer,
                 depth.limit_for(area))
         stamp_ns = self._stamp_ns(image.taken)
+        stands = self._standing.get(image.name, np.zeros(len(image.centroids.flux), bool))
         mirrored, uv = False, image.centroids.uv_raster
         try:
-            found = _search(self._identifiers[key], image, uv, stamp_ns)
+            found = _search(self._identifiers[key], image, uv, stamp_ns, stands)
         except MirroredError:
             uv, mirrored = uv * [1.0, -1.0] + [0.0, height - 1.0], True
             try:
-                found = _search(self._identifiers[key], image, uv, stamp_ns)
+                found = _search(self._identifiers[key], image, uv, stamp_ns, stands)
             except MirroredError:
                 found = None
         if found is None:
-            return why_not.after(image, self._tried[image.name], self._stated is not None)
+            return why_not.after(image, self._tried[image.name], self._stated is not None, stands)
         centroids = image.centroids
         use = (found.catalog_id != 0) & (centroids.flags == 0)
         if use.sum() < MIN_STARS:
@@ -226,9 +229,9 @@ class StarSearch:
         return unix_ns(taken.replace(tzinfo=zone).astimezone(timezone.utc).isoformat())
 
 
-def _search(identifier: Identifier, image: Measured, uv: Array, stamp_ns: int | None
-            ) -> Identification | None:
-    """Identify an image by its brightest spots, or else by the best ones of each of its cells.
+def _search(identifier: Identifier, image: Measured, uv: Array, stamp_ns: int | None,
+            stands: Mask) -> Identification | None:
+    """Identify an image by its brightest spots, or else by some of the others.
 
     The brightest are those of a tree or a town, where there is one.
     """
@@ -236,19 +239,22 @@ def _search(identifier: Identifier, image: Measured, uv: Array, stamp_ns: int | 
     found = identifier.lost_in_space(uv, spots.flux, stamp_ns, spots.sigma)
     if found is not None:
         return found
-    rows = _best_of_cells(spots, image.shape)
-    found = identifier.lost_in_space(uv[rows], spots.flux[rows], stamp_ns, spots.sigma[rows])
-    if found is None:
-        return None
-    return identifier.track(found.view, uv, spots.flux, stamp_ns, spots.sigma) or found.among(
-        rows, len(uv))
+    for rows in _others_to_begin_with(image, stands):
+        found = identifier.lost_in_space(uv[rows], spots.flux[rows], stamp_ns, spots.sigma[rows])
+        if found is not None:
+            return identifier.track(found.view, uv, spots.flux, stamp_ns, spots.sigma) or (
+                found.among(rows, len(uv)))
+    return None
 
 
-def _best_of_cells(spots: Centroids, shape: tuple[int, int]) -> Ints:
-    """Return the rows of the brightest spots of each cell, those of good shape."""
+def _others_to_begin_with(image: Measured, stands: Mask) -> Iterator[Ints]:
+    """Yield rows of spots: the best of each cell, of good shape; those that do not stand still."""
+    spots = image.centroids
     good = np.flatnonzero(spots.flags == 0)
-    rank, _ = rank_in_cell(spots.uv_raster[good], spots.flux[good], shape)
-    return good[rank < _BEST_OF_CELL]
+    rank, _ = rank_in_cell(spots.uv_raster[good], spots.flux[good], image.shape)
+    yield good[rank < _BEST_OF_CELL]
+    if stands.any():
+        yield np.flatnonzero(~stands)
 
 
 def _about(field_deg: float, error: float) -> Field:

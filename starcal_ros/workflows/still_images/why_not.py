@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from starcal_ros.core.arrays import Mask
 from starcal_ros.imaging.centroids import ELONGATED, SATURATED
 from starcal_ros.imaging.spread import rank_in_cell
 from starcal_ros.sky import depth
@@ -27,7 +28,7 @@ def before(image: Measured) -> str | None:
     return None
 
 
-def after(image: Measured, field_deg: tuple[float, float], is_stated: bool) -> str:
+def after(image: Measured, field_deg: tuple[float, float], is_stated: bool, stands: Mask) -> str:
     """Return why a search in a field may have failed.
 
     Parameters
@@ -37,6 +38,8 @@ def after(image: Measured, field_deg: tuple[float, float], is_stated: bool) -> s
         Fields of view across the width that were looked for.
     is_stated : bool
         Whether the user stated the field.
+    stands : (n,) bool array
+        Which of its spots most images have, as `standing` tells.
     """
     spots, shape = image.centroids, image.centroids.shape
     count = len(spots.flux)
@@ -56,6 +59,10 @@ def after(image: Measured, field_deg: tuple[float, float], is_stated: bool) -> s
     if crowded > _MOST * count and count > len(cells):
         said.append(f'clustered: {crowded} of them lie in {_CROWDED_CELLS:.0%} of the image: '
                     'foreground, text or a cloud? A mask (--mask) takes it out')
+    still = int(np.count_nonzero(stands))
+    if _MOST * count < still < count:
+        said.append(f'{still} of them are at the same place in most images: hot pixels, dust or '
+                    'foreground; a mask (--mask) takes them out')
     long = int(np.count_nonzero(spots.flags & ELONGATED))
     if long > _MOST * count:
         said.append(f'{long} of them are no points: clouds, a galaxy, poor focus')
