@@ -104,8 +104,9 @@ class LensChoice(NamedTuple):
         left = (f'{refused:.0%} of the stars refused' if refused >= 0.005 else
                 f'RMS {rms_px:.2g} px')
         if best.name != name and own and self.test(name).passed:     # what fails may be name's own
-            return (f'{left}: {best.name} predicts about as well, RMS {best.predicted_px:.3g} px '
-                    f'against {own.predicted_px:.3g} px (--lens {best.name})')
+            return (f'{left}: no lens model predicts much better than {name}; {best.name} does '
+                    f'about as well, RMS {best.predicted_px:.3g} px against '
+                    f'{own.predicted_px:.3g} px (--lens {best.name})')
         if self.test(name).passed:
             return f'{left}: no lens model fits, none predicts much better than {name}'
         said = f'{name} is not what this lens does'

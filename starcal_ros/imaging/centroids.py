@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from starcal_ros.config.image import CentroidConfig
 from starcal_ros.core.arrays import Array, Ints, Mask
-from starcal_ros.imaging.cutouts import Cutouts, Shape
+from starcal_ros.imaging.cutouts import Cutouts, Shape, trail_of
 from starcal_ros.imaging.detection import Detections, find_spots
 from starcal_ros.imaging.light import Light
 from starcal_ros.imaging.picture import Picture
@@ -58,6 +58,9 @@ class Centroids:
         Sums of SATURATED, BLENDED, EDGE, ELONGATED; 0 is a clean star.
     shape : Shape
         Spot and trail that the stars have in common, in pixels of the image that was measured.
+    streak : (2,) array
+        Trail that the clearest detections have in common by the moments of their light, longer
+        than can be fitted, too; 0 where they are round or lie any way [px].
     """
 
     uv_raster: Array
@@ -65,6 +68,7 @@ class Centroids:
     flux: Array
     flags: NDArray[np.uint8]
     shape: Shape
+    streak: Array
 
     @property
     def sigma(self) -> Array:
@@ -78,7 +82,7 @@ def of_picture(picture: Picture, config: CentroidConfig) -> Centroids:
     if n == 1:
         return found
     return Centroids(n * found.uv_raster + (n - 1) / 2.0, n**2 * found.covariance, found.flux,
-                     found.flags, found.shape)
+                     found.flags, found.shape, n * found.streak)
 
 
 def extract(image: NDArray[np.generic], config: CentroidConfig,
@@ -103,7 +107,7 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
     spots = find_spots(light.counts, light.noise, config.threshold)
     if not len(spots.flux):
         return Centroids(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0),
-                         np.empty(0, np.uint8), _TYPICAL)
+                         np.empty(0, np.uint8), _TYPICAL, np.zeros(2))
 
     def cutouts(row: Rows, half: int) -> tuple[Cutouts, Mask]:
         return (Cutouts.of(light, spots.uv_raster[row], half),
@@ -115,22 +119,26 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
     row = (best(spots.uv_raster, spots.flux, size, config.max_spots) if many
            else np.arange(len(spots.flux)))
 
+    clearest = np.argsort(-spots.significance, kind='stable')[:_CANDIDATES]
+    of_cells = clear_of_crowds(spots.uv_raster, spots.significance, size)
+    streak = trail_of(np.median(
+        spots.moments[of_cells if many else clearest[:_SHAPE_SPOTS]], axis=0))
+
     def measured(clear: Rows, most: int) -> Centroids:
         shape, gain = _common_shape(cutouts, spots, clear, most, electrons)
         return _of_shape(*cutouts(row, shape.half), spots.take(row), shape, gain,
-                         electrons is not None, light.unit)
+                         electrons is not None, light.unit, streak)
 
     if not many:
-        found = measured(np.argsort(-spots.significance, kind='stable')[:_CANDIDATES],
-                         _SHAPE_SPOTS)
+        found = measured(clearest, _SHAPE_SPOTS)
         if np.mean(found.flags & ELONGATED > 0) < _ODD_PART:
             return found
     # Here, too, where the clearest spots are of another shape than most, such as a line of text.
-    return measured(clear_of_crowds(spots.uv_raster, spots.significance, size), _CANDIDATES)
+    return measured(of_cells, _CANDIDATES)
 
 
 def _of_shape(cut: Cutouts, crowded: Mask, rough: Detections, shape: Shape, gain: float,
-              photons: bool, unit: float) -> Centroids:
+              photons: bool, unit: float, streak: Array) -> Centroids:
     """Return the centroids of spots that have a shape; `unit` is that of their light [counts]."""
     found = fit(cut, rough.uv_raster - cut.middle, shape, gain, photons)
     good = found.good
@@ -142,7 +150,8 @@ def _of_shape(cut: Cutouts, crowded: Mask, rough: Detections, shape: Shape, gain
     return Centroids(
         np.where(good[:, None], cut.middle + found.offset, rough.uv_raster),
         np.where(good[:, None, None], found.covariance, rough.moments + np.eye(2)),
-        unit * np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape)
+        unit * np.where(good, found.flux, rough.flux), flags.astype(np.uint8), shape,
+        streak)
 
 
 def _common_shape(cutouts: Callable[[Rows, int], tuple[Cutouts, Mask]], spots: Detections,

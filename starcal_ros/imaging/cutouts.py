@@ -26,10 +26,9 @@ class Shape(NamedTuple):
     @classmethod
     def of_moments(cls, moments: Array) -> Shape:
         """Return the shape with second moments (2, 2) of its light [px^2]."""
-        (across, along), axes = np.linalg.eigh(moments)
-        if along < (1.0 + _ROUND) * across:
-            return cls.bounded((across + along) / 2.0, np.zeros(2))
-        return cls.bounded(across, np.sqrt(12.0 * (along - across)) * axes[:, 1])
+        trail = trail_of(moments)
+        across = float(np.linalg.eigvalsh(moments)[0])
+        return cls.bounded(across if trail.any() else float(np.trace(moments)) / 2.0, trail)
 
     @classmethod
     def bounded(cls, variance: float, trail: Array) -> Shape:
@@ -48,6 +47,14 @@ class Shape(NamedTuple):
         """Pixels on each side of the middle one that hold nearly all of the light."""
         half = np.ceil(2.5 * self.sigma + np.abs(self.trail).max() / 2.0 + 0.5)
         return int(min(half, _LARGEST_HALF))
+
+
+def trail_of(moments: Array) -> Array:
+    """Return the trail (2,) of second moments (2, 2), 0 where they are round [px]."""
+    (across, along), axes = np.linalg.eigh(moments)
+    if along < (1.0 + _ROUND) * across:
+        return np.zeros(2)
+    return np.asarray(np.sqrt(12.0 * (along - across)) * axes[:, 1])
 
 
 class Cutouts(NamedTuple):

@@ -211,9 +211,11 @@ def test_each_image_that_is_left_out_has_its_own_reason(images, capsys):
     eye = Camera()
     save(images / 'good.png', eye.towards())
     save(images / 'dark.png', np.full((480, 640), 100, np.uint16))
-    trail = np.array([-0.5, -0.327, 0.0, 0.327, 0.5])[:, None, None] * [45.0, 20.0]
-    save(images / 'streaked.png', eye.renderer.counts(eye.renderer.light(
-        eye.rng.uniform(-200, 200, (60, 2)) + trail, np.full(60, 2.0))))
+    trails = {'streaked.png': np.array([45.0, 20.0]), 'tracking off.png': np.array([-70.0, 90.0])}
+    for name, trail in trails.items():
+        path = np.array([-0.5, -0.327, 0.0, 0.327, 0.5])[:, None, None] * trail
+        save(images / name, eye.renderer.counts(eye.renderer.light(
+            eye.rng.uniform(-200, 200, (60, 2)) + path, np.full(60, 2.0))))
     at = np.stack(np.meshgrid(np.arange(-160.0, 0.0, 16.0), np.arange(-160.0, 0.0, 16.0)), axis=-1)
     save(images / 'crowd.png', eye.counts(at.reshape(-1, 2) + eye.rng.uniform(-3, 3, (100, 2)),
                                           eye.rng.uniform(2.0, 4.0, 100)))
@@ -222,15 +224,15 @@ def test_each_image_that_is_left_out_has_its_own_reason(images, capsys):
     status, found = run(images, '--fov', FOV)
     assert status in (0, 3)
     why = found['left_out']
-    assert list(why) == ['crowd.png', 'dark.png', 'full.png', 'streaked.png']
+    assert list(why) == ['crowd.png', 'dark.png', 'full.png', *trails]
     assert 'too few spots, 0, needs 4' in why['dark.png']
     assert 'clustered: ' in why['crowd.png'] and '--mask' in why['crowd.png']
     assert 'are saturated: expose shorter' in why['full.png']
-    assert 'streaked: they are trails of ' in why['streaked.png']
-    length, angle = (float(word) for word in re.search(
-        r'trails of (\d+) px at (\d+) deg', why['streaked.png']).groups())
-    assert abs(length - np.hypot(45.0, 20.0)) < 6.0
-    assert abs(angle - np.degrees(np.arctan2(-20.0, 45.0)) % 180.0) < 5.0
+    for name, trail in trails.items():
+        length, angle = (float(word) for word in re.search(
+            r'streaked: they are trails of (\d+) px at (\d+) deg', why[name]).groups())
+        assert abs(length - np.hypot(*trail)) < 6.0
+        assert abs(angle - np.degrees(np.arctan2(-trail[1], trail[0])) % 180.0) < 5.0
     assert 'left out' in capsys.readouterr().err
 
 

@@ -141,7 +141,7 @@ def test_a_lens_that_lacks_little_is_not_the_last_one(tmp_path, capsys):
     words = ['intrinsics', '--centroids', str(stars), '--width', '640', '--height', '480']
     assert main([*words, '--lens', 'kannala_brandt']) == 4
     said = capsys.readouterr().out.replace('\n', ' ')
-    assert 'plumb_bob predicts about as well, RMS 0.0' in said and 'no lens model' not in said
+    assert 'plumb_bob does about as well, RMS 0.0' in said and 'no lens model fits' not in said
 
 
 @pytest.mark.slow

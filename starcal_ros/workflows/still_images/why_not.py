@@ -46,9 +46,9 @@ def after(image: Measured, field_deg: tuple[float, float], is_stated: bool, stan
     low, high = field_deg
     said = [f'not identified: {count} spots match no stars of a field of {low:.3g} to '
             f'{high:.3g} deg']
-    length = float(np.linalg.norm(shape.trail))
+    length = float(np.linalg.norm(spots.streak))
     if length > max(_STREAK_PX, _STREAK_SIGMAS * shape.sigma):
-        angle = float(np.degrees(np.arctan2(-shape.trail[1], shape.trail[0]))) % 180.0
+        angle = float(np.degrees(np.arctan2(-spots.streak[1], spots.streak[0]))) % 180.0
         said.append(f'streaked: they are trails of {length:.0f} px at {angle:.0f} deg from the '
                     'row, counter-clockwise; expose shorter, or track')
     saturated = int(np.count_nonzero(spots.flags & SATURATED))
