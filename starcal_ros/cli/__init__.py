@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     except Exception as error:
         status, text = _told(error)
     from starcal_ros.cli.terminal import say
-    say(f'starcal {options.command}: error: {text}')
+    say(f'{options.parser.prog}: error: {text}')
     return status
 
 

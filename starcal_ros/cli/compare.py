@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'detector, where the results do not; of --cross-validate the scenario, '
                         'default: that of the recording')
     parser.set_defaults(namespace=None)
-    arguments.add_json(parser, 'all of it as JSON')
+    arguments.add_json(parser, 'all of it')
 
 
 def run(options: argparse.Namespace) -> int:

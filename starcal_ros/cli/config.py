@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     def action(name: str, text: str, detail: str, json_too: bool = True
                ) -> argparse.ArgumentParser:
         made = actions.add_parser(name, help=text, description=detail)
-        made.set_defaults(act=globals()[f'_{name}'])
+        made.set_defaults(act=globals()[f'_{name}'], parser=made)
         if json_too:
             made.add_argument('--json', action='store_true', help='print JSON')
         return made
@@ -204,7 +204,7 @@ def _chosen(name: str | None) -> list[str]:
     """Return the parameters of a name: itself, those of a group, or all."""
     found = [key for key in parameters() if name in (None, key) or key.startswith(f'{name}.')]
     if not found:
-        raise ConfigError(unknown(str(name)))
+        raise ConfigError(unknown(str(name), dict(groups(Scenario()))))
     return found
 
 

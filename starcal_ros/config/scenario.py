@@ -13,7 +13,7 @@ they add to them; nothing that estimates reads it. The errors are found by name 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 import dataclasses
 from dataclasses import dataclass, field
 import difflib
@@ -184,14 +184,19 @@ def _errors(check: Callable[..., object], *arguments: Any) -> tuple[str, ...]:
     return ()
 
 
-def unknown(key: str) -> str:
-    """Return what to say of a name that no parameter has: which has nearly that name."""
+def unknown(key: str, groups: Iterable[str] = ()) -> str:
+    """Return what to say of a name that no parameter has: which has nearly that name.
+
+    Where a group would do, too, `groups` are theirs.
+    """
     last = key.rpartition('.')[2]
     near = ([known for known in parameters() if known.endswith(f'.{key}')]
-            or difflib.get_close_matches(key, [*parameters(), *ROS_OWN], n=1)
+            or [known for known in parameters() if key and f'.{key}' in f'.{known}']
+            or difflib.get_close_matches(key, [*parameters(), *ROS_OWN, *groups], n=1)
             or [known for known in parameters() if known.endswith(f'.{last}')])
-    return f'{key}: unknown parameter' + (f'; did you mean {" or ".join(near[:3])}?' if near
-                                          else '')
+    what = 'parameter or group' if groups else 'parameter'
+    asked = f'; did you mean {" or ".join(near[:3])}?' if near else ''
+    return f'{key}: unknown {what}{asked}'
 
 
 def _replace(default: Any, tree: Mapping[str, Any]) -> Any:

@@ -10,6 +10,15 @@ from pathlib import Path
 import sys
 
 
+# With the search path of this process: that of `python -m` begins with the working directory,
+# where a checkout may lie that is not what is installed.
+_PROGRAM = """import sys
+sys.path[:] = {path!r}
+from starcal_ros.nodes import programs
+sys.exit(getattr(programs, sys.argv.pop(1))())
+"""
+
+
 class NodeError(RuntimeError):
     """A node ended as it should not; the message names it."""
 
@@ -25,7 +34,7 @@ def node_command(name: str, parameters: Mapping[str, object], params_file: Path 
     """
     if find_spec('rclpy') is None:
         raise NodeError("no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'")
-    command = [sys.executable, '-m', 'starcal_ros.nodes.programs', name, '--ros-args']
+    command = [sys.executable, '-c', _PROGRAM.format(path=sys.path), name, '--ros-args']
     if params_file is not None:
         command += ['--params-file', str(params_file)]
     for key, value in parameters.items():

@@ -98,6 +98,7 @@ def test_help_of_every_command_says_what_it_does(starcal):
         assert done.out.startswith(f'usage: starcal {name}')
         _, text, *_ = done.out.split('\n\n')
         assert re.match(r'[A-Z][^.]{20,}\.', text.replace('\n', ' ')), name     # a sentence
+        assert not re.search(r'\b(\w+ \w+) \1\b', ' '.join(done.out.split())), name   # twice
         assert re.search(rf'^ +{name}\s+\w', overview, re.MULTILINE), name
 
 

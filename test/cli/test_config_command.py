@@ -122,8 +122,14 @@ def test_describe_tells_of_a_parameter_a_group_and_which_there_are(config):
     assert 'ros2 param set' in out
     assert config('describe', 'gyro')[1].count('\n  type ') == 4
     assert 'estimator.tolerance' in config('describe')[1]
-    status, _, err = config('describe', 'gyro.rat_hz')
-    assert status == 2 and 'did you mean gyro.rate_hz?' in err
+    for mistyped, near in (
+            ('gyro.rat_hz', 'gyro.rate_hz'), ('camra', 'camera'),
+            ('arw', 'gyro.arw_deg_sqrt_h or truth.gyro.arw_deg_sqrt_h'),
+            ('estimator.gate', 'estimator.gate_probability')):
+        status, _, err = config('describe', mistyped)
+        assert status == 2 and err == (
+            f'starcal config describe: error: {mistyped}: unknown parameter or group; did you '
+            f'mean {near}?\n')
     told, = json.loads(config('describe', 'camera.width', '--json')[1])
     assert (told['default'], told['low'], told['high'], told['unit']) == (1024, 16, 65536, 'px')
 
