@@ -70,7 +70,8 @@ def run(options: argparse.Namespace) -> int:
     show(f'{(stars > 0).sum()} of {len(stars)} spots identified. {report.summary(outcome)}')
     if outcome['verdict'] == verdict.INCONSISTENT:
         show(report.table(report.rows(outcome, truth), 'The 16 states'))
-    show(f'Verdict: {verdict.of(chain.calibrator, chain.progress).summary}')
+    judged = verdict.of(chain.calibrator, chain.progress)
+    show(f'Verdict: {report.symbols(judged.summary)}')
     if out is not None:
         result.write_json(out, outcome)
     show_json(outcome)

@@ -157,7 +157,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         show(f'The data contradict the model; {explained.sentence}. '
              + (f'Adopted: {adopted["adopted"]}' if adopted else
                 'Nothing was adopted.' if adopt else 'See --adopt.'))
-    show(f'Verdict: {judged.summary}')
+    show(f'Verdict: {report.symbols(judged.summary)}')
     if figure is not None:
         report.figure(history, truth, figure)
     if reports.paths or reports.light:

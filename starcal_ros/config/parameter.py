@@ -78,7 +78,9 @@ class Parameter:
         spec = self.spec
         if spec.choices:
             return ', '.join(spec.choices)
-        if self.element in (int, float):
+        if self.element is int:
+            return f'{int(spec.low)} to {int(spec.high)}'
+        if self.element is float:
             return f'{spec.low:.15g} to {spec.high:.15g}'
         return ''
 

@@ -14,7 +14,7 @@ from starcal_ros.core.units import DEG, DEG_PER_HOUR
 from starcal_ros.filter.frame_result import Counts
 from starcal_ros.filter.states import N_STATES, STATE_NAMES, UNIT
 from starcal_ros.live.heard import SILENT_S, Seen, as_number
-from starcal_ros.report.states import LABELS, UNITS, Row
+from starcal_ros.report.states import LABELS, UNITS, Row, symbols
 
 USUAL, RARE = 2.30, 9.21        # chi-square of two degrees of freedom: 68 %, 99 %
 """NIS of a star up to which a residual is nothing to speak of, and from which on it is odd."""
@@ -99,7 +99,7 @@ def states(seen: Seen) -> list[StateFact]:
 
 def tests(seen: Seen) -> list[BandFact]:
     """Return the tests of the innovations."""
-    return [BandFact(key.replace('_', ' '), *(seen.number(key + end)
+    return [BandFact(key.replace('_', ' ').replace('nis of', 'NIS of'), *(seen.number(key + end)
                                               for end in ('', '_low', '_high')))
             for key in seen.values
             if f'{key}_low' in seen.values and f'{key}_high' in seen.values]
@@ -132,6 +132,11 @@ def reprojection_px(seen: Seen) -> Array | None:
     return rms if np.isfinite(rms).all() else None
 
 
+def verdict(seen: Seen) -> str:
+    """Return the verdict as it is said, with the reasons for it."""
+    return symbols(seen.message)
+
+
 def advice(seen: Seen) -> str:
     """Return what would help, '' of nothing."""
     return _text(seen, 'advice')
@@ -149,4 +154,4 @@ def remaining_s(seen: Seen) -> float:
 
 def _text(seen: Seen, key: str) -> str:
     value = seen.values.get(key, 'none')
-    return '' if value == 'none' else value
+    return '' if value == 'none' else symbols(value)

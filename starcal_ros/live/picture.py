@@ -69,7 +69,7 @@ def picture(seen: Seen) -> dict[str, Any]:
 def _verdict(seen: Seen) -> dict[str, str]:
     if silence := facts.silence(seen):
         return {'word': 'silence', 'text': silence, 'kind': 'gone'}
-    word, _, rest = seen.message.partition(':')
+    word, _, rest = facts.verdict(seen).partition(':')
     kind = _KINDS[min(seen.level, 3)]
     if kind == 'good' and seen.message != CONVERGED:
         kind = 'open'       # nothing to complain of, and not there yet

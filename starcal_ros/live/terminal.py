@@ -44,7 +44,7 @@ def render(seen: Seen) -> RenderableType:
         parts.append(Text(doubt, style='bold red'))
     if counts := ', '.join(f'{name} {value}' for name, value in facts.counts(seen).items()):
         parts.append(Text(clean(counts), style='dim'))
-    if (advice := facts.advice(seen)) and advice not in seen.message:
+    if (advice := facts.advice(seen)) and advice not in facts.verdict(seen):
         parts.append(Text(clean(f'advice: {advice}'), style='yellow'))
     if alike := facts.not_told_apart(seen):
         parts.append(Text(clean(f'not told apart: {alike}'), style='yellow'))
@@ -75,7 +75,7 @@ def _verdict(seen: Seen) -> Text:
     if silence := facts.silence(seen):
         return Text(silence, style='bold magenta')
     style = 'bold green' if seen.message == CONVERGED else _STYLES[min(seen.level, 3)]
-    return Text(clean(seen.message), style=style)
+    return Text(clean(facts.verdict(seen)), style=style)
 
 
 def _inputs(seen: Seen) -> Text:

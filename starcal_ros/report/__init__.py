@@ -19,7 +19,7 @@ from starcal_ros.report.convergence import figure
 from starcal_ros.report.explanations import explanations_table
 from starcal_ros.report.montecarlo_table import study
 from starcal_ros.report.reproduction_table import draw, published
-from starcal_ros.report.states import rows, summary, table
+from starcal_ros.report.states import rows, summary, symbols, table
 
 __all__ = ['camera', 'chain', 'draw', 'explanations_table', 'figure', 'published', 'rows',
-           'still_images', 'study', 'summary', 'table', 'verdict_lines']
+           'still_images', 'study', 'summary', 'symbols', 'table', 'verdict_lines']

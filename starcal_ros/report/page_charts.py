@@ -54,10 +54,10 @@ def projection(calibration: Calibration) -> list[PageSection]:
              if calibration.verdict.word == INCONSISTENT else '')
     return [section(
         'projection', 'Projection',
-        paragraph('Left, how far off the place of a star is on the detector by the camera alone, '
-                  'a turn of all stars taken out; middle, how far off the direction of a pixel is '
+        paragraph('First, how far off the place of a star is on the detector by the camera alone, '
+                  'a turn of all stars taken out; second, how far off the direction of a pixel is '
                   'in the gyro axes, by camera and mounting together. 1 sigma of each of two axes.'
-                  ' Right, by how much the calibration has moved the stars, a turn of all taken '
+                  ' Third, by how much the calibration has moved the stars, a turn of all taken '
                   'out.' + doubt),
         charts([
             projection_charts.camera_sigmas(

@@ -17,7 +17,7 @@ from starcal_ros.report import explanations
 from starcal_ros.report.calibration import NOMINAL, Calibration
 from starcal_ros.report.markup import PageSection, items, paragraph, section, table
 from starcal_ros.report.states import (DOUBT, LABELS, SCALED, SIGMA_UNITS, UNITS, Row, at_frame,
-                                       rows, short, summary)
+                                       rows, short, summary, symbols)
 
 LABEL = {name: name.replace('_', ' ') for name in NAMES[:3]} | dict(zip(NAMES[3:], LABELS))
 """How states are called on the page, by their names."""
@@ -36,9 +36,7 @@ def verdict(calibration: Calibration) -> list[PageSection]:
     for coupling in judged.couplings:
         names = ', '.join(LABEL.get(name, name) for name in coupling.names)
         said.append(f'{names} can not be told apart yet: {coupling.reason}; {coupling.advice}.')
-    summary_ = judged.summary
-    for name in judged.outside:
-        summary_ = summary_.replace(name, LABEL[name])
+    summary_ = symbols(judged.summary)
     return [section(
         'verdict', 'Verdict',
         f'<p class="verdict {"yes" if judged.converged else "no"}">'

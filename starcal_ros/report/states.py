@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
 from starcal_ros.filter.verdict import INCONSISTENT
 
 LABELS = ('ε_x', 'ε_y', 'ε_z', 'Ψ_x', 'Ψ_y', 'Ψ_z', 'u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
+_SYMBOLS = {'phi': 'φ', 'epsilon': 'ε', 'psi': 'Ψ'}
 _ANGLE = '°, ″'         # the value in degrees, its error and sigma in arcsec
 UNITS = ('°/h', '°/h', '°/h', _ANGLE, _ANGLE, _ANGLE, 'px', 'px', 'mm', 'mm⁻²', 'mm⁻⁴',
          'mm⁻¹', 'mm⁻¹')
@@ -53,6 +55,11 @@ class Row(NamedTuple):
     def places(self, value: float) -> str:
         """Return truth or estimate to a tenth of sigma."""
         return _number(value, self.sigma / 3600.0 if self.unit == _ANGLE else self.sigma)
+
+
+def symbols(text: str) -> str:
+    """Return a sentence with the states called as `LABELS` has them, in place of their names."""
+    return re.sub(r'\b(phi|epsilon|psi)(?=_[xyz]\b)', lambda name: _SYMBOLS[name[0]], text)
 
 
 def rows(result: dict[str, Any], truth: dict[str, Any] | None) -> list[Row]:

@@ -625,3 +625,9 @@ def test_gap_in_a_recording_is_a_warning_and_not_the_end(starcal, tmp_path):
     line, = [line for line in done.err.splitlines() if line.startswith('warning: ')]
     assert 'silent for 2.010 s' in line
     assert json.loads((tmp_path / 'r.json').read_text())['counts']['gyro_gaps'] == 1
+
+
+def test_states_are_called_the_same_in_table_and_verdict(starcal, bag, tmp_path):
+    done = starcal('calibrate', bag, '--out', tmp_path / 'r.json')
+    said = done.out.partition('Verdict: ')[2]
+    assert 'ε_x, ' in done.out and 'not yet: ε_x, ' in said and 'epsilon' not in done.out

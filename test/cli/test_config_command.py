@@ -130,6 +130,7 @@ def test_describe_tells_of_a_parameter_a_group_and_which_there_are(config):
         assert status == 2 and err == (
             f'starcal config describe: error: {mistyped}: unknown parameter or group; did you '
             f'mean {near}?\n')
+    assert '0 to 9007199254740992\n' in config('describe', 'simulation.seed')[1]
     told, = json.loads(config('describe', 'camera.width', '--json')[1])
     assert (told['default'], told['low'], told['high'], told['unit']) == (1024, 16, 65536, 'px')
 

@@ -35,13 +35,22 @@ def test_before_anything_is_heard_there_is_a_picture_that_says_so():
 
 @pytest.mark.parametrize('message, level, kind', [
     ('converged', 0, 'good'), ('not yet: u0, v0; rotate about Y', 0, 'open'),
-    ('disabled', 1, 'warning'), ('inconsistent: nis of the turns 2', 2, 'bad'),
+    ('disabled', 1, 'warning'), ('inconsistent: NIS of the turns 2', 2, 'bad'),
     ('lost: most stars are rejected', 2, 'bad')])
 def test_only_what_has_converged_is_good(message, level, kind):
     told = picture(Seen(message=message, level=level, silent_s=0.0))['verdict']
     word, _, rest = message.partition(': ')
     assert told == {'word': word, 'text': rest, 'kind': kind}
     assert picture(Seen(message=message, level=level, silent_s=9.0))['verdict']['kind'] == 'gone'
+
+
+def test_states_are_called_the_same_in_tables_and_in_sentences():
+    told = picture(Seen(
+        state(), message='not yet: epsilon_x, psi_z, u0; rotate about Y', silent_s=0.0,
+        values={'not_told_apart': 'psi_y, u0 (why): more frames are needed'}))
+    assert told['verdict']['text'] == 'ε_x, Ψ_z, u0; rotate about Y'
+    assert told['not_told_apart'] == 'Ψ_y, u0 (why): more frames are needed'
+    assert {'ε_x', 'Ψ_y', 'Ψ_z', 'u0'} < {each['label'] for each in told['states']}
 
 
 @pytest.mark.parametrize('level', [0, 1, 2, 3])
@@ -65,7 +74,7 @@ def test_tests_stand_at_their_places_in_their_bands():
               'nis_of_the_turns_high': '1.5', 'other': '6', 'other_low': '0', 'other_high': '1',
               'sigma_u0': '3'}
     first, second = picture(Seen(values=values))['tests']
-    assert first == {'name': 'nis of the turns', 'value': '1.5', 'low': '0.5', 'high': '1.5',
+    assert first == {'name': 'NIS of the turns', 'value': '1.5', 'low': '0.5', 'high': '1.5',
                      'passed': True, 'place': 1.0}
     # eleven half widths from the middle
     assert second['place'] == pytest.approx(1.0 + np.log10(11.0)) and not second['passed']
@@ -100,7 +109,7 @@ def test_rates_counts_time_and_what_can_not_be_told_apart():
     assert told['rates'] == [{'topic': '/a/imu/data_raw', 'hz': '99.5', 'lost': '2'}]
     assert told['counts'] == [['frames', '40'], ['waiting frames', '1']]
     assert (told['axis'], told['time_to_go']) == ('-Y', '12 min more')
-    assert told['not_told_apart'] == 'u0, psi_y: rotate'
+    assert told['not_told_apart'] == 'u0, Ψ_y: rotate'
     assert told['reprojection'] == '0.1000, 0.2000 px'
 
 

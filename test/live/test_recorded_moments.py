@@ -118,7 +118,7 @@ def test_a_result_says_what_the_estimator_said_at_the_end(run, tmp_path, outcome
     np.testing.assert_allclose(seen.tolerances()[3:],
                                calibrator.filter.tolerance / UNIT[CALIBRATED], rtol=1e-5)
     assert [test.name for test in facts.tests(seen)] == [
-        each.name.lower() for each in judged.statistics]
+        each.name for each in judged.statistics]
     assert facts.counts(seen)['frames'] == '60'
     assert finished(tmp_path.joinpath('result.json')).values == seen.values
 

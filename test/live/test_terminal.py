@@ -115,7 +115,7 @@ def test_view_has_verdict_inputs_counts_and_what_can_not_be_told_apart():
         inputs_message='/b is silent for 4 s',
         inputs={'/a/imu/data_raw messages_per_second': '9.5', '/a/imu/data_raw messages': '95'}))
     for part in ('not yet: [bold]f[/bold]\n', '/b is silent for 4 s, imu/data_raw 9.5 Hz, repro',
-                 'rejected stars 3', 'not told apart: u0, psi_y: rotate',
+                 'rejected stars 3', 'not told apart: u0, Ψ_y: rotate',
                  'reprojection 0.1000 0.2000 px', '1 of 2 stars used, 0.3 0.4 px'):
         assert part in shown
     assert 'sigma' not in shown         # no count, though it is a whole number
