@@ -37,8 +37,11 @@ LEVELS = {'': 'INFO', 'not yet': 'INFO', 'converged': 'INFO', 'inconsistent': 'E
           'lost': 'ERROR'}
 
 
-def blueprint() -> rrb.Blueprint:
-    """Return how the viewer is laid out."""
+def blueprint(first_ns: int, last_ns: int) -> rrb.Blueprint:
+    """Return how the viewer is laid out: charts over the whole recording, from one stamp on."""
+    whole = rrb.TimeAxis(view_range=rrb.TimeRange(
+        rrb.TimeRangeBoundary.absolute(nanos=first_ns),
+        rrb.TimeRangeBoundary.absolute(nanos=last_ns)))
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
@@ -46,9 +49,10 @@ def blueprint() -> rrb.Blueprint:
                 rrb.TextDocumentView(origin='verdict/now', name='Verdict'),
                 row_shares=[3, 1]),
             rrb.Vertical(
-                rrb.TimeSeriesView(origin='sigma_over_tolerance',
+                rrb.TimeSeriesView(origin='sigma_over_tolerance', axis_x=whole,
                                    name='Sigma over tolerance, log10: done below 0'),
-                rrb.TimeSeriesView(origin='residuals_px', name='RMS of the residuals [px]'),
+                rrb.TimeSeriesView(origin='residuals_px', axis_x=whole,
+                                   name='RMS of the residuals [px]'),
                 rrb.TextLogView(origin='verdict/changes', name='What changed'),
                 row_shares=[3, 1, 1]),
             column_shares=[2, 3]),
@@ -118,10 +122,11 @@ def main() -> int:
         print(f'error: {error}', file=sys.stderr)
         return 2
     rr.init('starcal', spawn=not options.save)
+    layout = blueprint(found[0].stamp_ns, found[-1].stamp_ns)
     if options.save:
-        rr.save(options.save, default_blueprint=blueprint())
+        rr.save(options.save, default_blueprint=layout)
     else:
-        rr.send_blueprint(blueprint())
+        rr.send_blueprint(layout)
     before = ''
     for moment in found:
         before = show(moment, before)

@@ -3,6 +3,7 @@
 """The loader for Rerun: what it logs is what the recording says, at the stamps of the frames."""
 
 from collections import defaultdict
+from importlib.util import module_from_spec, spec_from_file_location
 import os
 import subprocess
 import sys
@@ -82,6 +83,19 @@ def test_the_verdict_is_there_at_each_frame_and_where_it_changed(run):
     changes = logged['/verdict/changes']
     heads = [each.seen.message.partition(';')[0] for each in found]
     assert len(changes) == 1 + sum(a != b for a, b in zip(heads, heads[1:]))
+
+
+def test_charts_begin_with_the_whole_recording():
+    """Rerun would begin with the half minute about the first stamp."""
+    spec = spec_from_file_location('rerun_recording', TOP / 'examples' / 'rerun_recording.py')
+    loader = module_from_spec(spec)
+    spec.loader.exec_module(loader)
+    charts = [view for view in loader.blueprint(10, 20).root_container.contents[1].contents
+              if view.class_identifier == 'TimeSeries']
+    assert len(charts) == 2
+    for chart in charts:
+        view, = chart.properties['TimeAxis'].view_range.as_arrow_array().to_pylist()
+        assert view == {'start': 10, 'end': 20}
 
 
 def test_what_can_not_be_shown_is_said_in_a_line(tmp_path):

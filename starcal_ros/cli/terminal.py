@@ -46,6 +46,7 @@ def progress(text: str) -> Iterator[Callable[[float], None]]:
                   TimeElapsedColumn(), console=Console(stderr=True)) as bar:
         task = bar.add_task(text, total=1.0)
         yield lambda part: bar.update(task, completed=part)
+        bar.update(task, completed=1.0)         # what it took is more than the last part told
 
 
 def show(what: Table | str) -> None:

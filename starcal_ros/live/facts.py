@@ -99,8 +99,8 @@ def states(seen: Seen) -> list[StateFact]:
 
 def tests(seen: Seen) -> list[BandFact]:
     """Return the tests of the innovations."""
-    return [BandFact(key.replace('_', ' ').replace('nis of', 'NIS of'), *(seen.number(key + end)
-                                              for end in ('', '_low', '_high')))
+    return [BandFact(key.replace('_', ' ').replace('nis of', 'NIS of'),
+                     *(seen.number(key + end) for end in ('', '_low', '_high')))
             for key in seen.values
             if f'{key}_low' in seen.values and f'{key}_high' in seen.values]
 
