@@ -206,6 +206,21 @@ def test_pixels_that_draw_centroids_are_estimated_where_that_is_asked_for(tmp_pa
     assert 'OPENCV 1280 960' in (tmp_path / 'export' / 'cameras.txt').read_text()
 
 
+@pytest.mark.parametrize('amplitude', [0.15, 0.3])
+def test_pixels_may_draw_more_than_expected(tmp_path, amplitude):
+    """Up to beyond 1 / 2 pi px, from where on two stars may have one centroid; expected is 0.1."""
+    def drawn(uv):
+        angle = 2.0 * np.pi * (uv + PIXELS.centre_raster)
+        return amplitude * (0.8 * np.sin(angle) + 0.6 * np.cos(angle))
+    path = write(tmp_path / 's.csv', 'plumb_bob', 6, move=drawn, faintest=5.5, sigma=0.05)
+    status, found = calibrated(path, '--pixel-phase')
+    assert status == 0 and found['fit_rms_px'] == pytest.approx(0.05, rel=0.05)
+    for key, part in (('su_px', 0.8), ('cu_px', 0.6), ('sv_px', 0.8), ('cv_px', 0.6)):
+        assert abs(found[key] - part * amplitude) < 4.5 * found['sigma'][key], key
+    for key, true in (('f_px', 900.0), ('k1', -0.1)):
+        assert abs(found[key] - true) < 4.5 * found['sigma'][key], key
+
+
 def test_the_page_shows_a_camera_that_is_no_pinhole(tmp_path):
     page = tmp_path / 'page.html'
     calibrated(write(tmp_path / 's.csv', 'kannala_brandt', 2), '--lens', 'kannala_brandt',
