@@ -49,6 +49,20 @@ def test_sizes_and_focal_lengths_are_cameras_of_their_own(tmp_path, capsys):
     assert 'film.mp4 left out: is a film: write its frames as images' in said.err
 
 
+def test_images_that_were_turned_upright_are_found(tmp_path):
+    """The field that is stated is that of the others."""
+    images, eye = tmp_path / 'sky', Camera()
+    images.mkdir()
+    for k in range(5):
+        save(images / f'{k}.png', np.rot90(eye.towards()) if k in (0, 3) else eye.towards())
+    status, found = calibrate(images, tmp_path / 'c.json', '--fov', FOV)
+    assert status in (0, 3) and found['left_out'] == {}
+    upright, = found['other_cameras']
+    assert (upright['width'], upright['height'], upright['counts']['images']) == (480, 640, 2)
+    for each in (found, upright):
+        assert abs(each['f_px'] - TRUE['f_px']) < 5.0 * each['sigma']['f_px'] < 8.0
+
+
 def test_a_mosaic_gives_the_camera_whatever_the_colours_of_the_stars(tmp_path, capsys):
     """Red and blue light of a star differ by two magnitudes."""
     images, eye = tmp_path / 'sky', Camera(psf_sigma_px=1.4, zero_point_electrons_s=4e6)

@@ -163,8 +163,9 @@ class StarSearch:
         yield FIELD_DEG
 
     def _others(self, image: Measured) -> Iterator[Field]:
-        """Yield the fields of other images of the same size."""
-        for focal_px in self._known.get(image.shape, ()):
+        """Yield the fields of other images of the same size, upright or lying."""
+        for focal_px in (*self._known.get(image.shape, ()),
+                         *self._known.get(image.shape[::-1], ())):
             yield _about(_field_deg(focal_px, image), _KNOWN_ERROR)
 
     def _try(self, image: Measured, fields: Iterator[Field] | list[Field],

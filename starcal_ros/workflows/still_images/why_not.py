@@ -65,7 +65,8 @@ def after(image: Measured, field_deg: tuple[float, float], is_stated: bool, stan
                     'foreground; a mask (--mask) takes them out')
     long = int(np.count_nonzero(spots.flags & ELONGATED))
     if long > _MOST * count:
-        said.append(f'{long} of them are no points: clouds, a galaxy, poor focus')
+        said.append(f'{long} of them are no points: clouds, a galaxy, poor focus, or trails that '
+                    'turn')
     area = high**2 * image.shape[0] / image.shape[1]
     if count < _FEW and not is_stated:
         said.append('there are few of them: the field may be too narrow for the catalogue, which '
