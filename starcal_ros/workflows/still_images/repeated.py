@@ -29,6 +29,7 @@ LEAST_STARS = 8
 
 _LEAST_PART = 0.5       # of the stars of the image of fewer ones, that the other has as well
 _LEAST_SIGMA_PX = 1e-3  # of tables that state none
+_BLOCK = 256            # images compared with all others at a time: films have thousands
 
 
 def originals(uv_raster: Sequence[Array], sigma: Sequence[Array], catalog_id: Sequence[Ints]
@@ -49,16 +50,23 @@ def originals(uv_raster: Sequence[Array], sigma: Sequence[Array], catalog_id: Se
     counts = np.array([len(np.unique(number[number != 0])) for number in catalog_id])
     known, (u, v), variance = _by_star(uv_raster, sigma, catalog_id)
     square = u.multiply(u) + v.multiply(v)
-    common = (known @ known.T).toarray()
-    apart = (square @ known.T + known @ square.T - 2.0 * (u @ u.T + v @ v.T)).toarray()
-    expected = 2.0 * (variance @ known.T + known @ variance.T).toarray()
-    alike = (apart < RATIO**2 * expected) & (common >= LEAST_STARS) & (
-        common >= _LEAST_PART * np.minimum(counts[:, None], counts))
+    alike: list[Ints] = []
+    for low in range(0, len(counts), _BLOCK):
+        part = slice(low, low + _BLOCK)
+        common = (known[part] @ known.T).toarray()
+        apart = (square[part] @ known.T + known[part] @ square.T
+                 - 2.0 * (u[part] @ u.T + v[part] @ v.T)).toarray()
+        expected = 2.0 * (variance[part] @ known.T + known[part] @ variance.T).toarray()
+        alike.extend(np.flatnonzero(row) for row in (apart < RATIO**2 * expected) & (
+            common >= LEAST_STARS) & (
+                common >= _LEAST_PART * np.minimum(counts[part, None], counts)))
     rows = np.arange(len(counts))
+    taken = np.zeros(len(counts), bool)
     for row in np.argsort(-counts, kind='stable'):
-        if rows[row] == row:
-            copies = alike[row] & (rows == np.arange(len(rows))) & (counts <= counts[row])
-            rows[copies] = row
+        if not taken[row]:
+            mine = alike[row][~taken[alike[row]]]
+            rows[mine], taken[mine] = row, True
+            rows[row], taken[row] = row, True
     return rows
 
 
