@@ -38,9 +38,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     if options.file is None:
         from starcal_ros.workflows.node_program import node_command
-        command = node_command('serve', {'serve.host': options.host, 'serve.port': options.port})
-        if options.namespace is not None:
-            command += ['-r', f'__ns:=/{options.namespace.strip("/")}']
+        command = node_command('serve', {'serve.host': options.host, 'serve.port': options.port},
+                               namespace=options.namespace)
         os.execv(command[0], command)   # so that Ctrl-C and the status are the node's own
     from starcal_ros.live.serving import serve
     path = Path(options.file)

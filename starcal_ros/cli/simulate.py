@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.terminal import progress
+from starcal_ros.cli.terminal import progress, show_json
 
 DESCRIPTION = ('Simulate the sensors of a scenario and write their messages, the configuration '
                'and the truth into an MCAP recording, without ROS.')
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--seed', metavar='N', type=int,
                         help='seed of the noise, in place of simulation.seed')
     outputs.add_overwrite(parser)
+    arguments.add_json(parser, 'what was written')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -31,4 +33,10 @@ def run(options: argparse.Namespace) -> int:
     outputs.claim([options.out], [options.config], options.overwrite)
     with progress('simulating') as on_progress:
         simulate(scenario, options.out, options.overwrite, on_progress)
+    if options.json:
+        from starcal_ros.recording.bag import open_bag
+        given = scenario.simulation
+        show_json({'out': options.out, 'duration_s': given.duration_s, 'seed': given.seed,
+                   'messages': {topic.name: topic.count
+                                for topic in open_bag(Path(options.out)).topics()}})
     return 0

@@ -12,11 +12,12 @@ DESCRIPTION = ('Show what the running estimator says: the verdict, each state wi
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes: nothing."""
+    """Add what the command takes."""
+    parser.add_argument('--namespace', metavar='NS', help='namespace of the estimator')
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.workflows.node_program import node_command
-    command = node_command('watch', {})
+    command = node_command('watch', {}, namespace=options.namespace)
     os.execv(command[0], command)       # so that Ctrl-C and the status are the node's own

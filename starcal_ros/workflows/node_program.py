@@ -23,8 +23,8 @@ class NodeError(RuntimeError):
     """A node ended as it should not; the message names it."""
 
 
-def node_command(name: str, parameters: Mapping[str, object], params_file: Path | None = None
-                 ) -> list[str]:
+def node_command(name: str, parameters: Mapping[str, object], params_file: Path | None = None,
+                 namespace: str | None = None) -> list[str]:
     """Return the command line of a node of the suite.
 
     Raises
@@ -40,4 +40,6 @@ def node_command(name: str, parameters: Mapping[str, object], params_file: Path 
     for key, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
         command += ['-p', f'{key}:={text}']
+    if namespace is not None:
+        command += ['-r', f'__ns:=/{namespace.strip("/")}']
     return command

@@ -54,7 +54,7 @@ def test_info_lists_the_topics_with_types_and_counts(starcal, bag):
 
 
 # They make or show something, or have parts.
-QUIET = {'simulate', 'play', 'watch', 'serve', 'config'}
+QUIET = {'play', 'watch', 'serve', 'config'}
 
 
 def test_every_command_that_reports_gives_json(starcal):
@@ -111,6 +111,15 @@ def test_seed_makes_the_noise_and_nothing_else_does(starcal, tmp_path):
     np.testing.assert_array_equal(first.frames.uv_raster, again.frames.uv_raster)
     assert (first.gyro.rate != other.gyro.rate).all()
     assert first.frames.stamp_ns.tolist() == other.frames.stamp_ns.tolist()
+
+
+def test_simulate_as_json_is_what_the_recording_holds(starcal, tmp_path):
+    path = tmp_path / 'run.mcap'
+    done = starcal('simulate', '--out', path, '--duration', '5', '--seed', '7', '--json')
+    told, held = json.loads(done.out), json.loads(starcal('info', path, '--json').out)
+    assert (done.status, told['out'], told['seed']) == (0, str(path), 7)
+    assert told['duration_s'] == 5.0 and told['messages']['/imu/data_raw'] == 500
+    assert told['messages'] == {each['name']: each['messages'] for each in held['topics']}
 
 
 def test_simulated_recording_carries_the_scenario_that_was_run(bag):

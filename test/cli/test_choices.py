@@ -3,6 +3,7 @@
 """What a command reads: topics that are chosen, gyros at rest, configurations."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -25,6 +26,20 @@ def test_play_hands_its_options_to_the_player(starcal, bag, monkeypatch):
     given = dict(word.split(':=') for word in commands[0] if ':=' in word)
     assert given == {'player.bag': str(bag), 'player.rate': '3.0',
                      'player.start_offset_s': '2.5', 'player.loop': 'true'}
+
+
+@pytest.mark.parametrize('command', ['watch', 'serve'])
+@pytest.mark.parametrize('given', ['left', '/left/'])
+def test_the_estimator_of_a_namespace_is_looked_at(starcal, monkeypatch, command, given):
+    pytest.importorskip('rclpy')
+    commands = []
+
+    def execv(_, words):
+        commands.append(words)
+        raise SystemExit                # it does not return
+    monkeypatch.setattr(os, 'execv', execv)
+    starcal(command, '--namespace', given)
+    assert commands[0][-2:] == ['-r', '__ns:=/left']
 
 
 def test_allan_finds_the_noise_that_was_simulated(starcal, tmp_path):
