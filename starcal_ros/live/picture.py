@@ -49,11 +49,12 @@ def picture(seen: Seen) -> dict[str, Any]:
         (2); ``reprojection``: a text.
     """
     advice, rms = facts.advice(seen), facts.reprojection_px(seen)
+    remaining_s = facts.remaining_s(seen)
     return {
         'verdict': _verdict(seen),
         'doubt': facts.doubt(seen),
         'advice': clean(advice), 'axis': advised_axis(advice),
-        'time_to_go': time_text(facts.remaining_s(seen)),
+        'time_to_go': time_text(remaining_s) if remaining_s > 0.0 else '',
         'not_told_apart': clean(facts.not_told_apart(seen)),
         'stamp': facts.stamp_text(seen),
         'states': _states(seen), 'tests': _tests(seen),

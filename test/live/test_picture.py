@@ -98,6 +98,11 @@ def test_numbers_that_are_not_finite_are_no_part_of_the_picture():
     assert {each['name']: each['ratio'] for each in told['states']}['v0'] is None
 
 
+def test_no_time_goes_where_it_is_done():
+    assert picture(Seen(values={'time_to_go_s': '0'}))['time_to_go'] == ''
+    assert picture(Seen(values={'time_to_go_s': '30'}))['time_to_go'] == '30 s more'
+
+
 def test_rates_counts_time_and_what_can_not_be_told_apart():
     told = picture(Seen(
         values={'frames': '40', 'waiting_frames': '1', 'advice': 'rotate about -Y; as it is more',
