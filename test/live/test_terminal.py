@@ -31,7 +31,7 @@ SCENARIO = TAN2018.replace({
     'simulation.wait_for_subscribers': 1})
 STARS = np.dtype([('u', 'f8'), ('v', 'f8'), ('du', 'f8'), ('dv', 'f8'), ('catalog_id', 'u4'),
                   ('nis', 'f4'), ('accepted', 'u1')])
-PATIENCE_S = 30.0
+PATIENCE_S = 90.0
 
 
 def stars(*rows):
