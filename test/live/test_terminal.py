@@ -195,7 +195,9 @@ def test_late_watch_shows_the_states_of_the_estimator(shown):
         gyro.next(gyro.count), tracker.next(tracker.count), SCENARIO)
     offline = text(Seen(conventions.state_vector(calibrator.stamp_ns, calibrator.belief),
                         level=0, silent_s=0.0))
-    rows = {line.split()[0]: line.split()[1:3] for line in shown.splitlines() if line.split()}
+    # The table is before the sentences, of which a line may begin with a state, too.
+    rows = {line.split()[0]: line.split()[1:3] for line in reversed(shown.splitlines())
+            if line.split()}
     expected = [line.split()[:3] for line in offline.splitlines()[-N_STATES:]]
     assert len(expected) == len(STATE_NAMES)
     for label, estimate, sigma in expected:
