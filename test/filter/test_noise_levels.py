@@ -178,6 +178,7 @@ def test_a_step_is_no_noise_and_is_still_found():
     assert walk.used and walk.value < 0.001 * np.exp(4.0 * walk.spread) and walk.value < 0.004
 
 
+@pytest.mark.slow
 def test_stars_with_wrong_numbers_are_no_noise():
     row = wrong_models.WrongModel('wrong stars', {
         'truth.star_tracker.misidentified_fraction': 0.1})
@@ -185,6 +186,7 @@ def test_stars_with_wrong_numbers_are_no_noise():
     assert sigma.used and sigma.value == pytest.approx(0.05, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_time_offset_is_not_taken_for_noise_of_the_gyros():
     calibrator, _ = calibrate(*simulated(RUN, wrong_models.late(5.0)), RUN.replace(
         {'estimator.adapt': (GYRO,)}))

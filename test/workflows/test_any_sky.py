@@ -76,6 +76,7 @@ def test_a_very_wide_field_is_found_without_a_word(images, field_deg):
     assert is_right(found, true) and found['counts']['images'] == 2
 
 
+@pytest.mark.slow
 def test_a_field_of_which_nothing_is_known_may_be_too_narrow(images, monkeypatch, capsys):
     monkeypatch.setattr(search, 'RARE_DEG', ((40.0, 55.0),))
     rng = np.random.default_rng(1)
@@ -236,6 +237,7 @@ def test_each_image_that_is_left_out_has_its_own_reason(images, capsys):
     assert 'left out' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('case', [
     'black_sky', 'tree', 'float_0_1', 'nan_border', 'rgb16_png', 'mef_4d', 'fz_gz'])
 def test_pictures_that_others_brought(case, tmp_path):
