@@ -48,7 +48,6 @@ def test_stars_held_out_are_missed_by_more_than_those_used(trace):
     assert held_out / used > 0.98 * least
 
 
-@pytest.mark.slow
 def test_one_star_in_five_is_held_out(trace):
     part = trace.held_out.mean() / (1.0 - trace.held_out.mean())
     assert part == pytest.approx(1.0 / traces.HELD_OUT, rel=0.05)
