@@ -41,7 +41,7 @@ def served(path):
     """Serve a file, and yield the address of the page."""
     process = subprocess.Popen(
         [sys.executable, '-m', 'starcal_ros.cli', 'serve', str(path), '--port', '0'],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=path.parent)
     try:
         yield re.match(r'http://127\.0\.0\.1:\d+/', process.stdout.readline())[0]
         process.send_signal(signal.SIGINT)

@@ -162,7 +162,8 @@ def shown(tmp_path_factory, processes):
     ours, theirs = pty.openpty()
     watch = processes(
         [sys.executable, '-m', 'starcal_ros.cli', 'watch'], stdin=theirs, stdout=theirs,
-        env={**os.environ, 'TERM': 'xterm', 'COLUMNS': '100', 'LINES': '40'})
+        cwd=parameters.parent, env={
+            **os.environ, 'TERM': 'xterm', 'COLUMNS': '100', 'LINES': '40'})
     os.close(theirs)
     pieces = []
 

@@ -153,9 +153,10 @@ def test_arguments_that_no_node_knows_are_refused_and_the_right_ones_named(words
 
 @pytest.mark.parametrize('word', ['-h', '--help'])
 @pytest.mark.parametrize('name', [*NODES, 'composed'])
-def test_every_program_has_help(name, word):
+def test_every_program_has_help(name, word, tmp_path):
+    # Elsewhere: a checkout has not compiled what is installed.
     process = subprocess.run([sys.executable, '-m', 'starcal_ros.nodes.programs', name, word],
-                             capture_output=True, text=True, timeout=20)
+                             capture_output=True, text=True, timeout=20, cwd=tmp_path)
     assert (process.returncode, process.stderr) == (0, '')
     assert f'ros2 run starcal_ros {name} ' in process.stdout
     assert '--params-file' in process.stdout and 'tan2018.yaml' in process.stdout

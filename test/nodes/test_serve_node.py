@@ -42,7 +42,7 @@ class Run:
         self.started, self._parameters = [], parameters
         self._serve = self._begin(
             [sys.executable, '-m', 'starcal_ros.cli', 'serve', '--port', '0'],
-            stderr=subprocess.PIPE, text=True)
+            stderr=subprocess.PIPE, text=True, cwd=folder)
         self.address = re.search(r'http://127\.0\.0\.1:\d+/', self._serve.stderr.readline())[0]
 
     def begin(self):
@@ -151,10 +151,10 @@ def test_a_browser_follows_the_run_until_the_estimator_is_gone(run, tmp_path):
         tab.until("document.getElementById('word').textContent == 'no connection'")
 
 
-def test_a_port_that_is_taken_is_said_in_a_line(run):
+def test_a_port_that_is_taken_is_said_in_a_line(run, tmp_path):
     port = run.address.rsplit(':', 1)[1].strip('/')
     done = subprocess.run([sys.executable, '-m', 'starcal_ros.cli', 'serve', '--port', port],
-                          text=True, capture_output=True, timeout=PATIENCE_S)
+                          text=True, capture_output=True, timeout=PATIENCE_S, cwd=tmp_path)
     assert done.returncode == 2
     assert re.fullmatch(rf'error: serve: cannot listen on 127\.0\.0\.1, port {port}: .*\n',
                         done.stderr)
@@ -163,7 +163,7 @@ def test_a_port_that_is_taken_is_said_in_a_line(run):
 def test_in_a_namespace_the_estimator_of_that_is_shown(tmp_path):
     process = subprocess.Popen(
         [sys.executable, '-m', 'starcal_ros.cli', 'serve', '--port', '0', '--namespace', '/left'],
-        stderr=subprocess.PIPE, text=True)
+        stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     try:
         line = process.stderr.readline()
         assert line.endswith('shows left/estimator\n')
