@@ -48,10 +48,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit status."""
     options = parse(arguments)
     try:
-        from starcal_ros.cli.terminal import printing
+        from starcal_ros.cli.terminal import onto_output, printing
         with printing(getattr(options, 'json', False)):
             status = int(options.run(options))
-        sys.stdout.flush()
+        with onto_output():
+            sys.stdout.flush()
         return status
     except KeyboardInterrupt:
         status, text = 130, 'interrupted'
@@ -99,6 +100,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 def _told(error: Exception) -> tuple[int, str]:
     """Return the exit status and the text of an error; raise it again where it is a defect."""
+    from starcal_ros.cli.terminal import OUTPUT
     from starcal_ros.config.parameter import ConfigError
     from starcal_ros.messages.cdr import RecordError
     from starcal_ros.workflows.node_program import NodeError
@@ -107,8 +109,9 @@ def _told(error: Exception) -> tuple[int, str]:
     if isinstance(error, (ValueError, NodeError)):
         return 1, str(error)
     if isinstance(error, OSError):
-        if error.filename is None:      # nothing goes there at the end of the process, too
+        if error.filename == OUTPUT:    # nothing goes there at the end of the process, too
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1, f'{error.filename or "standard output"}: {error.strerror or error}'
+        place = f'{error.filename}: ' if error.filename else ''
+        return 1, f'{place}{error.strerror or error}'
     raise error

@@ -7,12 +7,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import progress, say, show
+from starcal_ros.cli.terminal import progress, say, show, show_json
 from starcal_ros.config.parameter import ConfigError
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     trends = comparison.trends(results)
     warmth = [] if temperature is None else comparison.trends_over(results, temperature)
     if options.json:
-        print(json.dumps({
+        show_json({
             'results': [{'name': each.name, 'stamp_ns': each.stamp_ns, 'verdict': each.verdict}
                         for each in results],
             'agree': not differ, 'differ': differ, 'warnings': notices,
@@ -74,8 +73,7 @@ def run(options: argparse.Namespace) -> int:
                 'over_the_detector': _over(maps[k]) if maps else None}
                 for k, (each, rows) in enumerate(zip(others, states))],
             'trends': [_trend(each, 'slope_a_day') for each in trends],
-            'trends_with_temperature': [_trend(each, 'slope_a_kelvin') for each in warmth]},
-            indent=1, allow_nan=False))
+            'trends_with_temperature': [_trend(each, 'slope_a_kelvin') for each in warmth]})
         return _DIFFER if differ else 0
     from starcal_ros.report import comparison as report
     show(report.differences([each.name for each in results], states))

@@ -10,7 +10,7 @@ import json
 from typing import Any
 
 from starcal_ros.cli import arguments, outputs
-from starcal_ros.cli.terminal import say, show
+from starcal_ros.cli.terminal import put, say, show, show_json
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError, groups
 from starcal_ros.config.presets import PRESETS, scenario
@@ -92,7 +92,7 @@ def _new(options: argparse.Namespace) -> int:
     if options.out:
         write_text(options.out, text)
     else:
-        print(text, end='')
+        put(text.removesuffix('\n'))
     for each in _odd(made):
         say(f'warning: {each}')
     return 0
@@ -147,8 +147,7 @@ def _check(options: argparse.Namespace) -> int:
     # What a section for one node leaves out is said of the others alone.
     notices = [text for text in (said[0] if said else ()) if all(text in each for each in said)]
     if options.json:
-        print(json.dumps({'file': options.file, 'errors': [*errors], 'odd': [*odd],
-                          'notices': notices}, indent=1))
+        show_json({'file': options.file, 'errors': [*errors], 'odd': [*odd], 'notices': notices})
     else:
         for kind, texts in (('error', errors), ('odd', odd), ('note', notices)):
             for text in texts:
@@ -196,7 +195,7 @@ def _list(options: argparse.Namespace) -> int:
 
 def _schema(options: argparse.Namespace) -> int:
     from starcal_ros.config.schema import schema
-    print(json.dumps(schema(), indent=1))
+    put(json.dumps(schema(), indent=1))
     return 0
 
 
@@ -210,7 +209,7 @@ def _chosen(name: str | None) -> list[str]:
 
 def _print_json(options: argparse.Namespace) -> tuple[()]:
     from starcal_ros.config.parameter_page import as_dict
-    print(json.dumps([as_dict(key, parameters()[key]) for key in _chosen(options.name)], indent=1))
+    show_json([as_dict(key, parameters()[key]) for key in _chosen(options.name)])
     return ()
 
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 STATUS = {'converged': 0, 'consistent': 0, 'not yet': 3, 'inconsistent': 4, 'lost': 4}
 """Exit status of a calibration, by its verdict; the result is written in all of them."""
 
+OUTPUT = 'standard output'
+
 _UNBOUNDED = 1000       # characters
 _AS_JSON = ContextVar('as_json', default=False)
 
@@ -49,6 +51,22 @@ def progress(text: str) -> Iterator[Callable[[float], None]]:
         bar.update(task, completed=1.0)         # what it took is more than the last part told
 
 
+@contextmanager
+def onto_output() -> Iterator[None]:
+    """Name standard output in an `OSError`, as the file that could not be written."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = OUTPUT
+        raise
+
+
+def put(text: str) -> None:
+    """Print a text as it is on standard output."""
+    with onto_output():
+        print(text)
+
+
 def show(what: Table | str) -> None:
     """Print on standard output, but for JSON; a pipe is as wide as the widest table."""
     if _AS_JSON.get():
@@ -57,13 +75,14 @@ def show(what: Table | str) -> None:
     console = Console(highlight=False, soft_wrap=True)
     if not console.is_terminal:
         console = Console(highlight=False, soft_wrap=True, width=_UNBOUNDED)
-    console.print(literal(what) if isinstance(what, str) else what)
+    with onto_output():
+        console.print(literal(what) if isinstance(what, str) else what)
 
 
-def show_json(values: dict[str, Any]) -> None:
+def show_json(values: dict[str, Any] | list[dict[str, Any]]) -> None:
     """Print on standard output where JSON is asked for; NaN and infinity are refused."""
     if _AS_JSON.get():
-        print(json.dumps(values, indent=1, allow_nan=False))
+        put(json.dumps(values, indent=1, allow_nan=False))
 
 
 def say(text: str) -> None:

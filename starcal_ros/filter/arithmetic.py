@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 try:
     from starcal_ros.filter.kernel import (COMPILED, advance, bends, carry, correct, judge,
                                            propagate, tally)
-except (ImportError, RuntimeError) as error:        # no numba, or nowhere to keep its cache
+except Exception as error:      # no numba; or its cache has no place, is full, or is damaged
     if not isinstance(error, ModuleNotFoundError):
-        print(f'starcal_ros: the filter runs uncompiled: {error}', file=sys.stderr)
+        print(f'starcal_ros: the filter runs uncompiled: {error or type(error).__name__}',
+              file=sys.stderr)
     from starcal_ros.filter.reference import (COMPILED, advance, bends, carry, correct, judge,
                                               propagate, tally)
 

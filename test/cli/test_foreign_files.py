@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What recordings, tables and names hold is shown as it stands, and never a traceback."""
 
+import errno
 import json
 import os
 import subprocess
@@ -112,6 +113,14 @@ def test_an_output_that_is_full_or_closed_is_said_in_one_line(tmp_path):
         done = run('info', path, stdout=full)
     assert (done.returncode, done.stderr) == (
         1, 'starcal info: error: standard output: No space left on device\n')
+
+
+def test_an_error_that_no_file_is_named_in_is_not_one_of_the_output(monkeypatch, capsys):
+    def refuse(options):
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+    monkeypatch.setattr('starcal_ros.cli.info.run', refuse)
+    assert main(['info', 'run.mcap']) == 1
+    assert capsys.readouterr().err == 'starcal info: error: Cannot allocate memory\n'
 
 
 def test_a_name_that_is_not_UTF_8_is_shown_with_its_bytes(tmp_path):

@@ -296,17 +296,44 @@ def test_without_numba_the_reference_runs():
     subprocess.run([sys.executable, '-c', program], check=True)
 
 
-@pytest.mark.slow
-def test_a_compilation_is_said_once(tmp_path):
-    """With a cache that lacks one function, then with what the first process left in it."""
-    own = _CacheLocator.get_suitable_cache_subpath(kernel.__file__)
-    shutil.copytree(kernel._propagate.stats.cache_path, tmp_path / own,
+@pytest.fixture
+def cache(tmp_path):
+    """Return a folder in which numba finds the compiled kernel, but for one function."""
+    own = tmp_path / _CacheLocator.get_suitable_cache_subpath(kernel.__file__)
+    shutil.copytree(kernel._propagate.stats.cache_path, own,
                     ignore=shutil.ignore_patterns('kernel._propagate*'))
-    program = 'import starcal_ros.filter.arithmetic'
-    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
-    said = [subprocess.run([sys.executable, '-c', program], check=True, env=environment, text=True,
-                           capture_output=True).stderr for _ in range(2)]
-    assert said == ['starcal_ros: compiling the filter, once: half a minute\n', '']
+    return own
+
+
+def said_on_import(cache, program='import starcal_ros.filter.arithmetic'):
+    """Return what a process says that imports the filter with this cache."""
+    return subprocess.run([sys.executable, '-c', program], check=True, text=True,
+                          env={**os.environ, 'NUMBA_CACHE_DIR': str(cache.parent)},
+                          capture_output=True).stderr
+
+
+@pytest.mark.slow
+def test_a_compilation_is_said_once(cache):
+    """With a cache that lacks one function, then with what the first process left in it."""
+    assert [said_on_import(cache) for _ in range(2)] == [
+        'starcal_ros: compiling the filter, once: half a minute\n', '']
+
+
+def test_with_a_full_disk_the_reference_runs_and_it_is_said(cache):
+    assert said_on_import(cache, 'import resource\n'
+                          'resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n'
+                          'from starcal_ros.filter import arithmetic\n'
+                          'assert not arithmetic.COMPILED').endswith(
+        'starcal_ros: the filter runs uncompiled: [Errno 27] File too large\n')
+
+
+@pytest.mark.parametrize('left', [0, 10, 100])
+def test_with_a_damaged_cache_the_reference_runs_and_it_is_said(cache, left):
+    """As after a power cut: files that are there, but not whole."""
+    for path in cache.glob('kernel._[a-c]*'):
+        path.write_bytes(path.read_bytes()[:left])
+    assert 'starcal_ros: the filter runs uncompiled: ' in said_on_import(
+        cache, 'from starcal_ros.filter import arithmetic; assert not arithmetic.COMPILED')
 
 
 def test_without_a_place_for_the_cache_the_reference_runs_and_it_is_said():
