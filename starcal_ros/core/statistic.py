@@ -69,13 +69,13 @@ class Statistic(NamedTuple):
                 f'{since}')
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=256)
 def chi2_beyond(probability: float, freedom: int) -> float:
     """Return what a chi-square number exceeds with a probability."""
     return float(chi2_isf(probability, freedom))
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=256)
 def normal_beyond(probability: float) -> float:
     """Return what a normal number exceeds with a probability."""
     return float(normal_isf(probability))

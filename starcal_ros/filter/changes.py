@@ -9,7 +9,8 @@ Every `STRIDE` frames a candidate begins: a step of each of `CHANGING` at that t
 like factor, so that the cost is constant and a step is dated to a part of its age. A step has
 happened where the likelihood ratio of a candidate is beyond chance, all candidates so far counted,
 and no other effect, a drift least of all, explains the innovations as well: `TOLD` in twice the
-logarithm of the likelihoods. Likewise a drift.
+logarithm of the likelihoods. Likewise a drift. Either is answered where the next look finds one,
+too.
 
 Answer
 ------
@@ -119,6 +120,8 @@ class Changes:
     ----------
     begun : int
         Number of candidates so far.
+    awaited : bool
+        Whether something was found that a second look is to confirm.
     """
 
     def __init__(self) -> None:
@@ -126,22 +129,25 @@ class Changes:
         self._clean: list[bool] = []            # whether nothing spoke against the model then
         self._afresh: list[bool] = []           # whether the attitude was found afresh since
         self._frames = self.begun = 0
+        self.awaited = False
         self._since_ns = 0
 
     def due(self, stamp_ns: int) -> bool:
         """Count a frame, and say whether a candidate is to begin after it."""
-        if self._frames == 0:
-            self._since_ns = stamp_ns
-        self._frames += 1
-        return self._frames % STRIDE == 0
+        self.pass_over(np.array([stamp_ns]))
+        return self._frames > 1 and self._frames % STRIDE == 1
 
     @property
     def until_due(self) -> int:
-        """Frames up to the one after which a candidate is to begin, that one included."""
-        return STRIDE - self._frames % STRIDE
+        """Frames up to the one after which a candidate is to begin, that one included.
+
+        The first frame is not counted, as by the windows of the tests, which end with these: it
+        tells nothing of the time before it.
+        """
+        return STRIDE + 1 if self._frames == 0 else STRIDE - (self._frames - 1) % STRIDE
 
     def pass_over(self, stamp_ns: Ints) -> None:
-        """Count frames after which none is to begin."""
+        """Count frames."""
         if self._frames == 0 and len(stamp_ns):
             self._since_ns = int(stamp_ns[0])
         self._frames += len(stamp_ns)
@@ -192,8 +198,16 @@ class Changes:
              ) -> Answer | None:
         """Return what has changed and what follows; None for nothing that can be told.
 
-        Noise that is not as it is stated may look like a drift.
+        It is told at the second look in a row: a step may just have happened, and what began long
+        before it explain a single frame as well as anything. Noise that is not as it is stated
+        may look like a drift.
         """
+        found = self._told(now_ns, fit, responses, noise_as_stated)
+        confirmed, self.awaited = self.awaited, found is not None
+        return found if confirmed else None
+
+    def _told(self, now_ns: int, fit: Fit, responses: Responses, noise_as_stated: bool
+              ) -> Answer | None:
         if not self._starts:
             return None
         gain, known = fit.gain[_FIRST:], len(self._starts) * len(CHANGING)

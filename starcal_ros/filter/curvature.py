@@ -34,42 +34,54 @@ REPEATS = 1000.0
 MATTERS = 0.1
 """Part of the sigma of a centroid up to which the term is left out."""
 
+BETWEEN = 2.0
+"""By how much the term of a star may exceed that of a direction near it, and of a camera."""
+
 _STEP = 1e-3            # of the differences, relative to SCALE below
 _SCALE = np.array([*(1e-2,) * 3, *(1e3 * camera.INTRINSICS_SCALE)])
 _RAYS = 8
 
 
-def _narrowed(spread: Array, sigma_px: Array, shift: Array, px: Array) -> Array:
-    """Return the part of the attitude's sigmas, (..., 3), by which it errs unseen.
+def _fitting(root: Array, sigma_px: Array, shift: Array, px: Array) -> Array:
+    """Return the root of the errors that are not seen, (..., 10, k).
 
     The attitude is one that fits the stars: it errs by what the camera moves them.
     """
+    spread = np.linalg.norm(root, axis=-1)
     finest = sigma_px.min(axis=-1, initial=np.inf)
     moved = np.sum(shift * spread[..., 3:], axis=-1) + np.where(
         np.isfinite(finest), finest, 0.0)
-    return np.asarray(np.minimum(1.0, (moved * px)[..., None] / np.maximum(
-        spread[..., :3], 1e-300)))
+    part = np.minimum(1.0, (moved * px)[..., None] / np.maximum(spread[..., :3], 1e-300))
+    return np.concatenate((part[..., None] * root[..., :3, :], root[..., 3:, :]), axis=-2)
 
 
-def bends(spread: Array, sigma_px: Array, shift: Array, largest: Array, px: Array) -> Mask:
-    """Tell where what a frame leaves out may matter, by a bound, (...).
+def bends(root: Array, sigma_px: Array, shift: Array, second: Array, largest: Array, px: Array
+          ) -> Mask:
+    """Tell where what a frame leaves out may matter, (...).
+
+    It does not where a bound by the standard deviations alone is small, nor where the term is in
+    all parts of the field, what is known of the errors together considered.
 
     Parameters
     ----------
-    spread : (..., 10) array
-        Standard deviations of turn [rad] and intrinsics.
+    root : (..., 10, k) array
+        Root of the covariance of turn [rad] and intrinsics.
     sigma_px : (..., n) array
         Of the centroids; infinite for what is not used.
-    shift, largest : arrays
+    shift, second, largest : arrays
         See `Curvature`.
     px : (...) array
         Angle of a pixel at the centre [rad].
     """
-    part = _narrowed(spread, sigma_px, shift, px)
-    spread = np.concatenate((part * spread[..., :3], spread[..., 3:]), axis=-1)
+    root = _fitting(root, sigma_px, shift, px)
+    spread = np.linalg.norm(root, axis=-1)
     bound = np.einsum('...i,ij,...j->...', spread, largest, spread)
-    return np.asarray(np.sqrt(REPEATS / 2.0) * bound > MATTERS * sigma_px.min(
-        axis=-1, initial=np.inf))
+    matters = MATTERS * sigma_px.min(axis=-1, initial=np.inf)
+    P = (root @ np.swapaxes(root, -1, -2))[..., None, :, :]
+    term = np.sum((second @ P) * (P @ second), axis=(-2, -1)).max(axis=-1)
+    scale = np.sqrt(REPEATS / 2.0)
+    return np.asarray((scale * bound > matters) & (
+        BETWEEN * scale * np.sqrt(np.maximum(term, 0.0)) > matters))
 
 
 class Curvature:
@@ -85,8 +97,10 @@ class Curvature:
 
     Attributes
     ----------
+    second : (r, 10, 10) array
+        Second derivatives of both coordinates, in some directions over the field.
     largest : (10, 10) array
-        Bound of the second derivatives over the detector.
+        Bound of them.
     shift : (7,) array
         Bound of the derivatives by the intrinsics.
     """
@@ -100,7 +114,8 @@ class Curvature:
         H = self._jacobian(r_s, intrinsics)
         bent = self._bent(r_s, intrinsics, H, np.diag(_STEP * _SCALE)) / (_STEP * _SCALE)[
             :, None, None, None]
-        self.largest = np.abs(np.moveaxis(bent, 0, -1)).max(axis=(0, 1))       # (10, 10)
+        self.second = np.ascontiguousarray(np.moveaxis(bent, 0, -1).reshape(-1, 10, 10))
+        self.largest = np.abs(self.second).max(axis=0)
         self.shift = np.abs(H[..., 3:]).max(axis=(0, 1))                       # (7,)
 
     def left_out(self, r_s: Array, intrinsics: Array, root: Array, sigma_px: Array) -> Array:
@@ -122,9 +137,7 @@ class Curvature:
         sigma_px : (..., n) array
             The larger of both coordinates [px]; exactly zero where it does not matter.
         """
-        spread = np.sqrt(np.einsum('...ij,...ij->...i', root, root))
-        narrowed = _narrowed(spread, sigma_px, self.shift, self._pitch_mm / intrinsics[..., 2])
-        root = np.concatenate((narrowed[..., None] * root[..., :3, :], root[..., 3:, :]), axis=-2)
+        root = _fitting(root, sigma_px, self.shift, self._pitch_mm / intrinsics[..., 2])
         root = np.swapaxes(np.linalg.qr(np.swapaxes(root, -1, -2), mode='r'), -1, -2)
         bent = self._bent(r_s, intrinsics, self._jacobian(r_s, intrinsics),
                           np.swapaxes(root, -1, -2)) @ root[..., None, None, :, :]

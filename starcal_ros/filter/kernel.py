@@ -21,7 +21,7 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter import stretch
-from starcal_ros.filter.curvature import MATTERS, REPEATS
+from starcal_ros.filter.curvature import BETWEEN, MATTERS, REPEATS
 from starcal_ros.filter.frame_innovation import (ALONG, BLIND, CELLS, FRAMES, FREEDOM, LAG,
                                                  MAGNITUDES, PAIRS, RATE, REST, SPREAD, SUMS, TURN,
                                                  FrameInnovation)
@@ -321,10 +321,11 @@ def _seen(x0: float, y0: float, z0: float, camera: Array, pitch_mm: float, uv: A
 
 
 @_jit('b1(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], '
-      'f8[:,::1], f8, f8)')
-def _bends(C_si, u_i, sigma, error, root, intrinsics, shift, largest, pitch_mm, cos_field):
+      'f8[:,:,::1], f8[:,::1], f8, f8)')
+def _bends(C_si, u_i, sigma, error, root, intrinsics, shift, second, largest, pitch_mm, cos_field):
     runs, n = error.shape
-    spread = np.empty(len(largest))
+    m = len(largest)
+    spread, part, P = np.empty(m), np.ones(m), np.empty((m, m))
     for r in range(runs):
         C, fits = C_si[r], False
         for k in range(n):
@@ -342,7 +343,7 @@ def _bends(C_si, u_i, sigma, error, root, intrinsics, shift, largest, pitch_mm, 
         if not np.isfinite(finest):
             continue
         moved = finest
-        for i in range(len(largest)):
+        for i in range(m):
             state = i if i < 3 else _LENS + i - 3
             square = 0.0
             for k in range(n):
@@ -352,21 +353,41 @@ def _bends(C_si, u_i, sigma, error, root, intrinsics, shift, largest, pitch_mm, 
                 moved += shift[i - 3] * spread[i]
         most = moved * pitch_mm / intrinsics[r, 2]
         for i in range(3):
-            spread[i] *= min(1.0, most / max(spread[i], 1e-300))
+            part[i] = min(1.0, most / max(spread[i], 1e-300))
         bound = 0.0
-        for i in range(len(largest)):
-            for k in range(len(largest)):
-                bound += spread[i] * largest[i, k] * spread[k]
-        if np.sqrt(REPEATS / 2.0) * bound > MATTERS * finest:
+        for i in range(m):
+            for k in range(m):
+                bound += part[i] * spread[i] * largest[i, k] * part[k] * spread[k]
+        if not np.sqrt(REPEATS / 2.0) * bound > MATTERS * finest:
+            continue
+        for i in range(m):
+            for j in range(i + 1):
+                a, b = i if i < 3 else _LENS + i - 3, j if j < 3 else _LENS + j - 3
+                value = 0.0
+                for k in range(n):
+                    value += root[r, a, k] * root[r, b, k]
+                P[i, j] = P[j, i] = value * SCALE[a] * SCALE[b] * part[i] * part[j]
+        term = 0.0
+        for h in second:
+            value = 0.0
+            for i in range(m):
+                for j in range(m):
+                    left, right = 0.0, 0.0
+                    for k in range(m):
+                        left += h[i, k] * P[k, j]
+                        right += P[i, k] * h[k, j]
+                    value += left * right
+            term = max(term, value)
+        if BETWEEN * np.sqrt(REPEATS / 2.0) * np.sqrt(term) > MATTERS * finest:
             return True
     return False
 
 
 def bends(C_si: Array, u_i: Array, sigma: Array, error: Array, root: Array, intrinsics: Array,
-          shift: Array, largest: Array, pitch_mm: float, cos_field: float) -> bool:
+          shift: Array, second: Array, largest: Array, pitch_mm: float, cos_field: float) -> bool:
     """Do as `reference.bends`."""
-    return bool(_bends(*map(ready, (C_si, u_i, sigma, error, root, intrinsics, shift, largest)),
-                       pitch_mm, cos_field))
+    return bool(_bends(*map(ready, (C_si, u_i, sigma, error, root, intrinsics, shift, second,
+                                    largest)), pitch_mm, cos_field))
 
 
 @_jit('b1(f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], '
@@ -903,9 +924,9 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
     # All that a frame needs, in the order of `calibrator`; nothing is written before it is known
     # that the frame is an ordinary one.
     C_gi, bias, C_sg, intrinsics, root = belief
-    (density, scale, lens_shift, largest, half, hourly, walk, gap_acceleration, trail_s, pitch_mm,
-     cos_field, gate, guarded, largest_correction, sigma_acquired, wide, most_torn, torn_nis,
-     least_stars, window_frames) = constants
+    (density, scale, lens_shift, second, largest, half, hourly, walk, gap_acceleration, trail_s,
+     pitch_mm, cos_field, gate, guarded, largest_correction, sigma_acquired, wide, most_torn,
+     torn_nis, least_stars, window_frames) = constants
     Delta, J, durations, gap_turn, reading, share, reference = intervals
     begin, all_u_i, all_uv, all_sigma, all_magnitude, row = stars
     (E, s, information, run, window, last_e, follows, star_frames, star_sums, cell_count,
@@ -962,8 +983,8 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
         u_i = all_u_i[first:last].reshape(1, count, 3)
         uv = all_uv[first:last].reshape(1, count, 2)
         deviation = all_sigma[first:last].reshape(1, count)
-        if guarded and _bends(C_si, u_i, deviation, error, root_1, intrinsics, lens_shift, largest,
-                              pitch_mm, cos_field):
+        if guarded and _bends(C_si, u_i, deviation, error, root_1, intrinsics, lens_shift, second,
+                              largest, pitch_mm, cos_field):
             return k
         chi2 = chi2_out[first:last].reshape(1, count)
         accepted = accepted_out[first:last].reshape(1, count)

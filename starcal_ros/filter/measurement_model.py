@@ -156,7 +156,7 @@ class MeasurementModel:
         if not arithmetic.bends(
                 runs(C_si, 2), runs(stars.u_i, 2), runs(stars.sigma, 1), runs(belief.error, 1),
                 runs(belief.root, 2), runs(nominal.intrinsics, 1), curvature.shift,
-                curvature.largest, self.detector.pitch_mm, self.cos_field):
+                curvature.second, curvature.largest, self.detector.pitch_mm, self.cos_field):
             return nothing
         r_s = stars.u_i @ np.swapaxes(C_si, -1, -2)
         in_view = reference.in_view(r_s, self.cos_field)

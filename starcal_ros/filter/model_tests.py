@@ -272,7 +272,9 @@ class ModelTests:
                 1.0 / SCATTER < factor < SCATTER for factor in self.variance_factors())
             found = self._changes.find(stamp_ns, fit, self._responses, noise_as_stated)
         if found is None:
-            self._changes.begin(stamp_ns, self._clean(fit), self._responses)
+            # What is awaited may have begun after all other candidates did.
+            self._changes.begin(stamp_ns, self._changes.awaited or self._clean(fit),
+                                self._responses)
             return None
         self.changes.append(found.change)
         self.begin()

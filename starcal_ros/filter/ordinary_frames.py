@@ -95,7 +95,8 @@ def _constants(filter_: Filter) -> Constants:
     detector, curvature = filter_.detector, filter_.model.curvature
     return Constants(
         ready(filter_.density), ready(filter_.scale), ready(curvature.shift),
-        ready(curvature.largest), np.array([0.5 * detector.width, 0.5 * detector.height]),
+        ready(curvature.second), ready(curvature.largest),
+        np.array([0.5 * detector.width, 0.5 * detector.height]),
         hypotheses.hourly().copy(), float(filter_.walk), float(filter_.gap_acceleration),
         float(filter_.model.trail_s), float(detector.pitch_mm), float(filter_.model.cos_field),
         float(filter_.gate), not filter_.taken_as_linear, LARGEST_CORRECTION, SIGMA_ACQUIRED,

@@ -230,7 +230,7 @@ def whitened(H: Array, z: Array, trail: Array) -> tuple[Array, Array]:
 
 
 def bends(C_si: Array, u_i: Array, sigma: Array, error: Array, root: Array, intrinsics: Array,
-          shift: Array, largest: Array, pitch_mm: float, cos_field: float) -> bool:
+          shift: Array, second: Array, largest: Array, pitch_mm: float, cos_field: float) -> bool:
     """Tell whether what a frame leaves out may matter in any run; see `curvature.bends`.
 
     Parameters
@@ -238,16 +238,16 @@ def bends(C_si: Array, u_i: Array, sigma: Array, error: Array, root: Array, intr
     C_si, u_i, sigma, error, root, intrinsics : arrays
         See `correct`; without the stars that are not in view. With feedback an error is expected
         only of a frame that is linearised where it fits: nothing matters there.
-    shift, largest : arrays
+    shift, second, largest : arrays
         See `curvature.Curvature`.
     pitch_mm, cos_field : float
         See `predict`.
     """
     usable = in_view(u_i @ np.swapaxes(C_si, -1, -2), cos_field) & ~np.any(
         error != 0.0, axis=-1, keepdims=True)
-    spread = np.linalg.norm(root[..., SEEN, :], axis=-1) * SCALE[SEEN]
-    return bool(curvature.bends(spread, np.where(usable, sigma, np.inf), shift, largest,
-                                pitch_mm / intrinsics[..., 2]).any())
+    return bool(curvature.bends(
+        root[..., SEEN, :] * SCALE[SEEN, None], np.where(usable, sigma, np.inf), shift, second,
+        largest, pitch_mm / intrinsics[..., 2]).any())
 
 
 def correct(C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array, root: Array,

@@ -38,7 +38,7 @@ class Constants(NamedTuple):
         Random walks of the calibrated states.
     scale : (n,) array
         Units of the states.
-    shift, largest : arrays
+    shift, second, largest : arrays
         Of `Curvature`.
     half : (2,) array
         Half of the detector [px].
@@ -60,6 +60,7 @@ class Constants(NamedTuple):
     density: Array
     scale: Array
     shift: Array
+    second: Array
     largest: Array
     half: Array
     hourly: Array
@@ -186,8 +187,8 @@ def example() -> tuple[Values, Constants, Intervals, StretchStars, TestSums, Gai
     a, ints = np.ones, np.ones(1, np.int64)
     return (
         Values(a((1, 3, 3)), a((1, 3)), a((1, 3, 3)), a((1, 7)), a((1, N_STATES, N_STATES))),
-        Constants(a(13), a(N_STATES), a(7), a((10, 10)), a(2), a((1, 1, 1)), *(1.0,) * 6, True,
-                  *(1.0,) * 5, 1, 1.0),
+        Constants(a(13), a(N_STATES), a(7), a((1, 10, 10)), a((10, 10)), a(2), a((1, 1, 1)),
+                  *(1.0,) * 6, True, *(1.0,) * 5, 1, 1.0),
         Intervals(a((1, 3, 3)), a((1, 3, 3)), a(1), a(1), a((1, 3)), a(1), a(3)),
         StretchStars(ints, a((1, 3)), a((1, 2)), a(1), a(1), ints),
         TestSums(a((1, N_STATES, WIDTH)), a((1, 1, WIDTH)), a((1, 1, WIDTH, WIDTH)), a(SUMS),

@@ -11,7 +11,7 @@ from starcal_ros.config.models import detector, intrinsics, mounting_matrix
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.evaluation.estimation_error import nominal
-from starcal_ros.filter.curvature import REPEATS, Curvature
+from starcal_ros.filter.curvature import REPEATS, Curvature, bends
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.simulation.truth import Truth
@@ -54,6 +54,21 @@ def test_it_is_nothing_where_the_linear_model_holds():
         assert found.any() == matters
     assert not left_out(np.empty((0, 3)), CAMERA, np.diag(SIGMA), np.empty(0)).size
     assert not left_out(directions(rng), CAMERA, np.diag(SIGMA), np.full(20, np.inf)).any()
+
+
+def test_where_it_is_said_not_to_matter_nothing_is_left_out():
+    """For errors that belong together in any way, near the nominal camera and off it."""
+    rng = np.random.default_rng(5)
+    curvature, sigma = Curvature(DETECTOR, CAMERA), np.full(60, 0.05)
+    told, left = [], []
+    for size in np.geomspace(1e-3, 1.0, 400):
+        root = SIGMA[:, None] * rng.normal(size=(10, rng.integers(1, 17))) * size
+        lens = CAMERA + size * SIGMA[3:] * rng.normal(size=7)
+        told.append(bool(bends(root, sigma, curvature.shift, curvature.second, curvature.largest,
+                               DETECTOR.pitch_mm / lens[2])))
+        left.append(curvature.left_out(directions(rng, 60), lens, root, sigma).any())
+    assert not (np.array(left) & ~np.array(told)).any()
+    assert 100 < sum(left) < sum(told) < 1.5 * sum(left) < 400
 
 
 def test_runs_of_a_batch_are_judged_each_by_itself():

@@ -127,8 +127,8 @@ def test_the_bound_of_what_a_frame_leaves_out_is_that_of_the_reference():
     for size in np.geomspace(1e-3, 1e3, 25):
         for still in (0.0, 1.0):
             parts = (frame[6], frame[10], frame[12], still * SCALE * np.ones((RUNS, 1)),
-                     size * frame[5], frame[3], CURVATURE.shift, CURVATURE.largest,
-                     DETECTOR.pitch_mm, 0.9)
+                     size * frame[5], frame[3], CURVATURE.shift,
+                     CURVATURE.second, CURVATURE.largest, DETECTOR.pitch_mm, 0.9)
             assert kernel.bends(*parts) == reference.bends(*parts)
             told.add((still, kernel.bends(*parts)))
     assert told == {(0.0, False), (0.0, True), (1.0, False)}
