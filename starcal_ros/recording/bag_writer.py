@@ -28,6 +28,9 @@ from starcal_ros.recording.writer import Batch, Writer
 
 RESERVE_BYTES = 1 << 20         # with less on the disk it ends, and the summary has its place
 _INDEX_BYTES = 600              # of a chunk, in the summary
+# What is written together ends a chunk in any case. Its topics may be minutes apart, where nodes
+# run faster than real time: a chunk for each second of each would be many, and so their index.
+_CHUNK_S = 3600
 _LOW_S, _LOW_BYTES = 600.0, 100 << 20
 _SUFFIX = '.mcap'
 
@@ -161,7 +164,7 @@ class BagWriter:
         self._start_ns, self._noted = None, {}
         self._before = dict(self.losses)
         name = f'{self.path.name}_{len(self._parts)}{_SUFFIX}'
-        writer = Writer(self.path / name if self._is_split else self.path)
+        writer = Writer(self.path / name if self._is_split else self.path, chunk_s=_CHUNK_S)
         for attached in self._attached:
             writer.attach(*attached)
         return writer

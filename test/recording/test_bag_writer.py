@@ -3,6 +3,7 @@
 """Recordings while they are made: split, on a full disk, removed."""
 
 from collections import Counter
+from dataclasses import replace
 import os
 import shutil
 from types import SimpleNamespace
@@ -80,6 +81,17 @@ def test_a_directory_that_exists_is_kept(tmp_path):
     (tmp_path / 'run').mkdir()
     with pytest.raises(RecordError, match='run exists'):
         BagWriter(tmp_path / 'run', max_bytes=1)
+
+
+def test_what_is_written_together_is_one_chunk_though_topics_are_minutes_apart(tmp_path):
+    """A chunk a second of each topic would be many, and the index of them grow in memory."""
+    path = tmp_path / 'run.mcap'
+    writer = BagWriter(path)
+    for gyro, frames in batches():
+        writer.write([gyro, replace(frames, log_time_ns=frames.log_time_ns + 100 * STEP)])
+    writer.close()
+    found = check_file(path)
+    assert not found.faults and found.chunks == len([*batches()])
 
 
 def test_losses_stand_in_the_file_at_once_and_in_the_metadata(tmp_path):
