@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     new = action('new', 'write a file to begin with', 'Write a parameter file for an instrument '
                  'of a class, each value under what it means. In a terminal and without PRESET '
                  'it asks for the class and for what a data sheet says. '
-                 + ' '.join(f'{name}: {preset.title}.' for name, preset in PRESETS.items()), False)
+                 + ' '.join(f'{name}: {preset.title}.' for name, preset in PRESETS.items()))
     new.add_argument('preset', metavar='PRESET', nargs='?', choices=PRESETS,
                      type=arguments.one_of([*PRESETS]),
                      help='class of the instrument: %(choices)s')
@@ -89,12 +89,14 @@ def _new(options: argparse.Namespace) -> int:
     if not options.preset:
         made = _ask_values(made, [key for key in _ASKED if key not in wanted])
     text = new_file(made, PRESETS[name].title, PRESETS[name].text)
+    odd = [*_odd(made)]
     if options.out:
         write_text(options.out, text)
-    else:
+    elif not options.json:
         put(text.removesuffix('\n'))
-    for each in _odd(made):
+    for each in odd:
         say(f'warning: {each}')
+    show_json({'file': options.out, 'preset': name, 'parameters': made.flat(), 'odd': odd})
     return 0
 
 

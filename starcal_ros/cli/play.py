@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--start-offset', metavar='S', type=float, default=0.0,
                         help='seconds to leave out at the beginning (default: %(default)s)')
     parser.add_argument('--loop', action='store_true', help='begin again at the end')
+    arguments.add_json(parser, 'how many messages were played, by topic,')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -37,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     return subprocess.call(node_command('player', {
         'player.bag': str(options.bag), 'player.rate': options.rate,
         'player.start_offset_s': options.start_offset, 'player.loop': options.loop,
-        **_topics(options)}))
+        **_topics(options)}, as_json=options.json))
 
 
 def _topics(options: argparse.Namespace) -> dict[str, list[str]]:

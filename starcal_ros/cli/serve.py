@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 
 from starcal_ros.cli import arguments
-from starcal_ros.cli.terminal import progress, show
+from starcal_ros.cli.terminal import progress, show, show_json
 from starcal_ros.config.nodes import ServeConfig
 
 DESCRIPTION = ('Serve a page for browsers that shows a calibration: stars and residuals on the '
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--port', metavar='N', type=arguments.port, default=_DEFAULT.port,
                         help='port to listen on; 0 is any that is free (default: %(default)s)')
     parser.add_argument('--namespace', metavar='NS', help='namespace of the estimator')
+    arguments.add_json(parser, 'the address of the page, and what it shows,')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,13 +40,16 @@ def run(options: argparse.Namespace) -> int:
     if options.file is None:
         from starcal_ros.workflows.node_program import node_command
         command = node_command('serve', {'serve.host': options.host, 'serve.port': options.port},
-                               namespace=options.namespace)
+                               namespace=options.namespace, as_json=options.json)
         os.execv(command[0], command)   # so that Ctrl-C and the status are the node's own
     from starcal_ros.live.serving import serve
     path = Path(options.file)
     moments = _moments(path, options.namespace)
-    serve(path.name, options.host, options.port, moments,
-          lambda address: show(f'{address} shows {options.file}; Ctrl-C ends it'))
+
+    def say_where(address: str) -> None:
+        show(f'{address} shows {options.file}; Ctrl-C ends it')
+        show_json({'address': address, 'shows': options.file})
+    serve(path.name, options.host, options.port, moments, say_where)
     return 0
 
 

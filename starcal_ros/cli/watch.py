@@ -7,6 +7,8 @@ from __future__ import annotations
 import argparse
 import os
 
+from starcal_ros.cli import arguments
+
 DESCRIPTION = ('Show what the running estimator says: the verdict, each state with its sigma and '
                'tolerance, rates, counts and a map of the stars. Ctrl-C ends it.')
 
@@ -14,10 +16,11 @@ DESCRIPTION = ('Show what the running estimator says: the verdict, each state wi
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     parser.add_argument('--namespace', metavar='NS', help='namespace of the estimator')
+    arguments.add_json(parser, 'what is new, twice a second, a line each time,')
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from starcal_ros.workflows.node_program import node_command
-    command = node_command('watch', {}, namespace=options.namespace)
+    command = node_command('watch', {}, namespace=options.namespace, as_json=options.json)
     os.execv(command[0], command)       # so that Ctrl-C and the status are the node's own

@@ -7,13 +7,16 @@ topics keep their names, or, with `player.rename`, get those that the estimator 
 
 It publishes /clock, the time of the recording, for nodes with `use_sim_time`: it stands while the
 player is paused, never runs ahead of a message that a subscriber keeps waiting, and goes back
-where a loop begins again.
+where a loop begins again. With --json it writes how many messages of each topic it played, when
+it ends.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 import heapq
+import json
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +45,7 @@ _OF_ROS = ('/rosout', '/parameter_events', '/clock')
 class Player(parameters.AnsweringNode):
     """Publish the messages of a bag in the rhythm of their log times."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, as_json: bool = False, **options: Any) -> None:
         super().__init__('player', **options)
         player = parameters.declare(self, 'player').player
         if not player.bag:
@@ -57,6 +60,7 @@ class Player(parameters.AnsweringNode):
             topic.name, topic.name).endswith(_SENSORS))
         publishers = {topic.name: publisher for topic in chosen
                       if (publisher := self._publisher(topic, names.get(topic.name, topic.name)))}
+        self._as_json, self._file, self._playing = as_json, player.bag, [*publishers.values()]
         start_ns = _start(bag, publishers, player)
         self._playback = SimulatedClock(start_ns, player.rate)
         self._feed = Feed(self, self._playback,
@@ -91,7 +95,12 @@ class Player(parameters.AnsweringNode):
     def close(self) -> None:
         """Deliver what was published."""
         self._feed.close()
-        self.get_logger().info(f'{self._feed.published} messages played')
+        played = self._feed.published
+        self.get_logger().info(f'{played.total()} messages played')
+        if self._as_json:
+            print(json.dumps({'bag': self._file, 'played': {
+                publisher.topic: played[publisher] for publisher in self._playing}}),
+                flush=True)
 
     def _choose(self, bag: Bag, player: PlayerConfig, names: dict[str, str]
                 ) -> list[RecordedTopic]:
@@ -183,4 +192,4 @@ def _items(bag: Bag, publishers: dict[str, FlowPublisher]) -> Iterator[Item]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_loop.run(Player, args)
+    return run_loop.run(Player, args, partial(Player, as_json=True))

@@ -3,11 +3,13 @@
 """Node `serve`: the running estimator on a page for browsers, by `starcal_ros.live.server`.
 
 It keeps the newest of what the estimator says, and all viewers get that: the estimator has one
-listener, however many they are.
+listener, however many they are. With --json it writes its address as a line of JSON, too.
 """
 
 from __future__ import annotations
 
+from functools import partial
+import json
 from typing import Any
 
 from starcal_ros.live.picture import encoded
@@ -21,12 +23,14 @@ _LOOK_S = 0.25
 class Serve(ResultsListener):
     """Serve what the estimator says."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, as_json: bool = False, **options: Any) -> None:
         super().__init__('serve', **options)
         given = parameters.declare(self, 'serve').serve
         of = f'{self.get_namespace().strip("/")}/estimator'.lstrip('/')
         self._server = ServerThread(of, given.host, given.port)
         self.get_logger().info(f'{self._server.address} shows {of}')
+        if as_json:
+            print(json.dumps({'address': self._server.address, 'shows': of}), flush=True)
         run_loop.steady_timer(self, _LOOK_S, self._publish)
 
     def close(self) -> None:
@@ -39,4 +43,4 @@ class Serve(ResultsListener):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_loop.run(Serve, args)
+    return run_loop.run(Serve, args, partial(Serve, as_json=True))

@@ -3,7 +3,8 @@
 """Node `watch`: the running estimator in the terminal, as `starcal_ros.live.terminal` draws it.
 
 On a terminal it redraws twice a second; where it writes into a file or a pipe, it writes the last
-view, when it ends.
+view, when it ends. With --json it writes what is new twice a second, a line of JSON each time, as
+`starcal_ros.live.picture` describes it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 
+from starcal_ros.live.picture import encoded
 from starcal_ros.live.terminal import render
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.results_listener import ResultsListener
@@ -44,6 +46,28 @@ class Watch(ResultsListener):
         self._live.update(render(self.seen), refresh=True)
 
 
+class WatchAsJson(ResultsListener):
+    """Write what the estimator says, for programs."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('watch', **options)
+        self._written = b''
+        run_loop.steady_timer(self, _DRAW_S, self._write)
+
+    def close(self) -> None:
+        """Write what is new at the end."""
+        self._write()
+
+    def _write(self) -> None:
+        if (line := encoded(self.seen)) == self._written:
+            return
+        self._written = line
+        try:
+            print(line.decode(), flush=True)
+        except OSError:                 # nobody reads on
+            run_loop.request_stop()
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run_loop.run(Watch, args)
+    return run_loop.run(Watch, args, WatchAsJson)

@@ -24,7 +24,7 @@ class NodeError(RuntimeError):
 
 
 def node_command(name: str, parameters: Mapping[str, object], params_file: Path | None = None,
-                 namespace: str | None = None) -> list[str]:
+                 namespace: str | None = None, as_json: bool = False) -> list[str]:
     """Return the command line of a node of the suite.
 
     Raises
@@ -34,7 +34,8 @@ def node_command(name: str, parameters: Mapping[str, object], params_file: Path 
     """
     if find_spec('rclpy') is None:
         raise NodeError("no ROS 2 here (rclpy): source a distribution, or pip install '.[ros]'")
-    command = [sys.executable, '-c', _PROGRAM.format(path=sys.path), name, '--ros-args']
+    command = [sys.executable, '-c', _PROGRAM.format(path=sys.path), name,
+               *(['--json'] if as_json else []), '--ros-args']
     if params_file is not None:
         command += ['--params-file', str(params_file)]
     for key, value in parameters.items():

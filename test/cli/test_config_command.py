@@ -43,6 +43,15 @@ def test_new_writes_a_file_that_is_read_and_in_order(config, tmp_path):
     assert status == 2 and 'exists' in err and '--overwrite' in err
 
 
+def test_new_as_json_holds_all_parameters(config):
+    status, out, err = config('new', 'fog', '--set', 'camera.focal_length_mm=0.5', '--json')
+    told = json.loads(out)
+    assert (status, told['preset'], told['file']) == (0, 'fog', None)
+    assert told['parameters']['camera.focal_length_mm'] == 0.5
+    assert 100 < len(told['parameters']) and told['parameters'].keys() <= parameters().keys()
+    assert len(told['odd']) == err.count('warning: ') > 0
+
+
 @pytest.mark.parametrize('words, said', [
     (['fod'], "invalid choice: 'fod'"),
     ([], 'PRESET is needed'),

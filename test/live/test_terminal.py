@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The view of the running estimator: what it draws, and that it hears what is said."""
 
+import json
 import os
 import pty
 import re
@@ -151,7 +152,7 @@ def processes():
 
 @pytest.fixture(scope='module')
 def shown(tmp_path_factory, processes):
-    """Return what a terminal shows that is opened when a run is over, and the status."""
+    """Return what a terminal shows that is opened when a run is over, and what is told as JSON."""
     pytest.importorskip('rclpy')
     parameters = tmp_path_factory.mktemp('watch') / 'scenario.yaml'
     parameters.write_text(parameter_file.dump(SCENARIO))
@@ -179,7 +180,12 @@ def shown(tmp_path_factory, processes):
     while not all(part in b''.join(pieces) for part in (b'stars used', b'tolerance', b'frames ')):
         assert time.monotonic() < deadline and watch.poll() is None, b''.join(pieces)
         time.sleep(0.05)
-    for process in (watch, estimator):
+    for_programs = processes(
+        [sys.executable, '-m', 'starcal_ros.cli', 'watch', '--json'], stdout=subprocess.PIPE,
+        text=True, cwd=parameters.parent)
+    moments = map(json.loads, for_programs.stdout)
+    told = next(moment for moment in moments if moment['states'] and moment['counts'])
+    for process in (for_programs, watch, estimator):
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 0
     reader.join()
@@ -187,10 +193,11 @@ def shown(tmp_path_factory, processes):
     whole = b''.join(pieces).decode().replace('\r\n', '\n')
     screen, last = whole.split('\x1b[?1049l')           # where the alternate screen is left
     assert '\x1b[?1049h' in screen
-    return re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', last)
+    return re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', last), told
 
 
 def test_late_watch_shows_the_states_of_the_estimator(shown):
+    shown, told = shown
     gyro, tracker = sensors.gyro(SCENARIO), sensors.star_tracker(SCENARIO)
     calibrator, _ = calibrate(
         gyro.next(gyro.count), tracker.next(tracker.count), SCENARIO)
@@ -203,9 +210,13 @@ def test_late_watch_shows_the_states_of_the_estimator(shown):
     assert len(expected) == len(STATE_NAMES)
     for label, estimate, sigma in expected:
         assert rows[label] == [estimate, sigma]
+    calibrated = [[row['estimate'], row['sigma']] for row in told['states'][-13:]]
+    assert calibrated == [[estimate, sigma] for _, estimate, sigma in expected[-13:]]
 
 
 def test_late_watch_shows_tolerances_verdict_counts_and_stars(shown):
+    shown, told = shown
+    assert ['frames', '40'] in told['counts'] and told['verdict']['word'] == 'not yet'
     assert shown.count('✓') + shown.count('…') == 13
     assert 'not yet: ' in shown and 'rotate about' in shown
     assert re.search(r'gyro 2000, frames 40, stars \d+', shown)

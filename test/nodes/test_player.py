@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time over ROS 2: the player's /clock, pauses, offsets and loops, and who lives by them."""
 
+import json
 import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -146,6 +149,16 @@ def went_back(states):
 def values(message):
     """Return what diagnostics say of the calibration, by key."""
     return {item.key: item.value for item in message.status[0].values}
+
+
+def test_play_tells_programs_what_it_played(folder):
+    done = subprocess.run(
+        [sys.executable, '-m', 'starcal_ros.cli', 'play', str(folder / 'run.mcap'), '--rate', '0',
+         '--json'], stdout=subprocess.PIPE, text=True, cwd=folder, timeout=60.0)
+    assert (done.returncode, json.loads(done.stdout)) == (0, {
+        'bag': str(folder / 'run.mcap'), 'played': {
+            '/star_tracker/camera_info': 1, '/truth/attitude': 80, '/truth/parameters': 1,
+            '/imu/data_raw': 400, '/star_tracker/centroids': 80}})
 
 
 def test_offset_beyond_the_end_is_refused(start, folder):

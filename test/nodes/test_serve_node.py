@@ -162,12 +162,13 @@ def test_a_port_that_is_taken_is_said_in_a_line(run, tmp_path):
 
 def test_in_a_namespace_the_estimator_of_that_is_shown(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, '-m', 'starcal_ros.cli', 'serve', '--port', '0', '--namespace', '/left'],
-        stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+        [sys.executable, '-m', 'starcal_ros.cli', 'serve', '--port', '0', '--namespace', '/left',
+         '--json'], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     try:
-        line = process.stderr.readline()
-        assert line.endswith('shows left/estimator\n')
-        with urlopen(re.search(r'http\S+', line)[0] + 'source', timeout=PATIENCE_S) as answer:
+        assert process.stderr.readline().endswith('shows left/estimator\n')
+        told = json.loads(process.stdout.readline())
+        assert told['shows'] == 'left/estimator'
+        with urlopen(told['address'] + 'source', timeout=PATIENCE_S) as answer:
             assert json.loads(answer.read())['title'] == 'left/estimator'
     finally:
         process.send_signal(signal.SIGINT)

@@ -13,6 +13,7 @@ from starcal_ros.config.shipped import config_file
 
 _ROS_ARGUMENTS = '--ros-args [--params-file FILE] [-p NAME:=VALUE ...] [-r FROM:=TO ...]'
 _HELP = ('-h', '--help')
+JSON = '--json'
 
 
 def words(args: list[str] | None) -> list[str]:

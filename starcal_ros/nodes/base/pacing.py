@@ -8,6 +8,7 @@ be published, in the order of the stamps; the feed publishes what is due.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 import time
 from typing import Any
@@ -105,8 +106,8 @@ class Feed:
 
     Attributes
     ----------
-    published : int
-        Number of items published.
+    published : Counter of FlowPublisher
+        Number of items published by each.
     paused : bool
         True while nothing is published by request.
     finished : bool
@@ -118,9 +119,8 @@ class Feed:
         self._clock, self._items, self._on_progress = clock, items, on_progress
         self._next = next(items, None)
         self._last_ns = self._next[0] if self._next else 0
-        self._used: set[FlowPublisher] = set()
         self._timer = run_loop.steady_timer(node, _PERIOD_S, self._on_timer)
-        self.published = 0
+        self.published: Counter[FlowPublisher] = Counter()
         self.paused = self.finished = False
 
     @property
@@ -147,11 +147,10 @@ class Feed:
             self._last_ns, publisher, message = self._next
             if not publisher.publish(message):
                 return
-            self._used.add(publisher)
-            self.published += 1
+            self.published[publisher] += 1
             self._next = next(self._items, None)
         self._on_progress(self._next[0] if self._next else None)
-        if self._next is None and all(p.acknowledged for p in self._used):
+        if self._next is None and all(p.acknowledged for p in self.published):
             self.finished = True
             self._timer.cancel()
 
@@ -159,8 +158,8 @@ class Feed:
     def drained(self) -> bool:
         """True when the subscribers have what was published, or do not take it."""
         return (run_loop.seconds_since_stop() > DRAIN_S
-                or all(each.acknowledged or each.gave_up for each in self._used))
+                or all(each.acknowledged or each.gave_up for each in self.published))
 
     def close(self) -> None:
         """Let the subscribers have what was published."""
-        drain(self._used, 0.0 if run_loop.stop_requested() else DRAIN_S)
+        drain(self.published, 0.0 if run_loop.stop_requested() else DRAIN_S)

@@ -110,16 +110,21 @@ def end_timer(node: Node, timer: Timer) -> None:
     node.destroy_timer(timer)
 
 
-def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+def run(make_node: Callable[[], Node], args: list[str] | None = None,
+        as_json: Callable[[], Node] | None = None) -> int:
     """Create a node and serve it until a signal comes or it is finished; see `run_together`.
 
-    A command line with more than ROS arguments gets help or a refusal.
+    With ``--json`` it is that of `as_json`, where there is one. A command line with more than
+    that and ROS arguments gets help or a refusal.
     """
     given = command_line.words(args)
     if command_line.asks_for_help(given):
         module = make_node.__module__
-        print(command_line.help_text(module, sys.modules[module].__doc__))
+        print(command_line.help_text(module, sys.modules[module].__doc__,
+                                     f'[{command_line.JSON}] ' if as_json else ''))
         return STATUS_OK
+    if given == [command_line.JSON] and as_json:
+        make_node, given = as_json, []
     if given:
         print(command_line.refusal(given), file=sys.stderr)
         return STATUS_USAGE
