@@ -23,7 +23,7 @@ from starcal_ros.config import parameter_file
 from starcal_ros.config.shipped import config_file
 
 FIRST_S = 600.0
-ALLOWED_MB = 5.0            # of growth of the estimator
+ALLOWED_MB = 5.0            # of growth of each
 
 
 def resident_mb(process: subprocess.Popen[str]) -> float:
@@ -63,7 +63,7 @@ def main() -> int:
             for node in reversed(nodes.values()):
                 node.send_signal(signal.SIGINT)
                 node.communicate()
-    return 0 if grown['estimator'] <= ALLOWED_MB else 1
+    return 0 if max(grown.values()) <= ALLOWED_MB else 1
 
 
 if __name__ == '__main__':
