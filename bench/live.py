@@ -26,7 +26,7 @@ from starcal_ros.workflows import live_run, node_program
 
 DURATION_S = 600.0
 REAL_TIME_S = 20.0
-FASTER, SHARE = 20.0, 0.2           # what is asked for
+FASTER, SHARE = 80.0, 0.07          # what is aimed at
 NODES = ('recorder', 'estimator', 'star_tracker_sim', 'gyro_sim')
 _TICK_S = 1.0 / os.sysconf('SC_CLK_TCK')
 
@@ -92,8 +92,9 @@ def main() -> int:
     _, used = run(scenario.replace({'simulation.duration_s': REAL_TIME_S,
                                     'simulation.real_time_factor': 1.0}), False)
     print(f'real time: the estimator takes {100.0 * used["estimator"]:.1f} % of a core, '
-          f'{100.0 * SHARE:.0f} % allowed')
-    return 0 if max(speeds) >= FASTER and used['estimator'] <= SHARE else 1
+          f'{100.0 * SHARE:.0f} % aimed at; four processes {speeds[0]:.0f} times real time, '
+          f'{FASTER:.0f} aimed at')
+    return 0 if speeds[0] >= FASTER and used['estimator'] <= SHARE else 1
 
 
 if __name__ == '__main__':

@@ -19,8 +19,8 @@ import sys
 BENCH = Path(__file__).resolve().parent
 PAGE = BENCH.parent / 'docs' / 'performance.md'
 SCRIPTS = ('calibrate.py', 'filterpy_peer.py', 'frame.py', 'start.py', 'scale.py', 'live.py',
-           'gyro_reading.py', 'record.py', 'images.py', 'image_peers.py', 'identify.py',
-           'intrinsics_methods.py', 'interstar.py')
+           'latency.py', 'gyro_reading.py', 'record.py', 'images.py', 'image_peers.py',
+           'identify.py', 'intrinsics_methods.py', 'interstar.py')
 HEAD = """# Performance
 
 Written by `python bench/performance.py`, which runs the scripts of `bench/` one after the other;
@@ -45,9 +45,9 @@ def section(script: str) -> str:
     print(script, file=sys.stderr, flush=True)
     done = subprocess.run([sys.executable, str(BENCH / script)], capture_output=True, text=True,
                           env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'})
-    last = done.stderr.strip().splitlines()[-1:] if done.returncode else []
-    printed = '\n'.join([*done.stdout.rstrip().splitlines(),
-                         *(f'ended with status {done.returncode}: {line}' for line in last)])
+    # A script that misses what it aims at ends with 1; one that breaks has said nothing.
+    last = '' if done.stdout else (done.stderr.strip().splitlines() or ['nothing said'])[-1]
+    printed = done.stdout.rstrip() or f'ended with status {done.returncode}: {last}'
     name = title.partition(':')[0].rstrip('.')
     return f'## {name}\n\n`bench/{script}`\n\n{rest.strip()}\n\n```text\n{printed}\n```\n'
 

@@ -77,11 +77,13 @@ def bends(root: Array, sigma_px: Array, shift: Array, second: Array, largest: Ar
     spread = np.linalg.norm(root, axis=-1)
     bound = np.einsum('...i,ij,...j->...', spread, largest, spread)
     matters = MATTERS * sigma_px.min(axis=-1, initial=np.inf)
+    scale = np.sqrt(REPEATS / 2.0)
+    may = np.asarray(scale * bound > matters)
+    if not may.any():
+        return may
     P = (root @ np.swapaxes(root, -1, -2))[..., None, :, :]
     term = np.sum((second @ P) * (P @ second), axis=(-2, -1)).max(axis=-1)
-    scale = np.sqrt(REPEATS / 2.0)
-    return np.asarray((scale * bound > matters) & (
-        BETWEEN * scale * np.sqrt(np.maximum(term, 0.0)) > matters))
+    return may & (BETWEEN * scale * np.sqrt(np.maximum(term, 0.0)) > matters)
 
 
 class Curvature:

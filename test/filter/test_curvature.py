@@ -3,18 +3,15 @@
 """What the linear model of a frame leaves out, and what becomes of sigmas that would ignore it."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from instruments import TAN2018, calibrated
-from starcal_ros.config.models import detector, intrinsics, mounting_matrix
+from instruments import TAN2018
+from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.core import camera, rotation
-from starcal_ros.core.units import ARCSEC
-from starcal_ros.evaluation.estimation_error import nominal
 from starcal_ros.filter.curvature import REPEATS, Curvature, bends
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.measurements.samples import Stars
-from starcal_ros.simulation.truth import Truth
+from starcal_ros.reproduction import first_errors
 
 NARROW = TAN2018.replace({
     'camera.focal_length_mm': 189.0, 'star_tracker.limiting_magnitude': 9.5,
@@ -95,31 +92,8 @@ def test_a_frame_is_believed_less_and_the_paper_s_filter_stays_as_it_is():
         assert (wider, bool(update.linear)) == (feedback, not feedback)
 
 
-def drawn(seed):
-    """Return a scenario whose truth is drawn from what the filter is told of it."""
-    draws = np.random.default_rng([seed, 3]).normal(size=13)
-    g = draws.tolist()
-    C_sg = (Rotation.from_rotvec(-600.0 * ARCSEC * draws[:3]).as_matrix()
-            @ mounting_matrix(NARROW.mounting))
-    z, y, x = Rotation.from_matrix(C_sg).as_euler('ZYX', degrees=True).tolist()
-    sigma = NARROW.estimator.initial_sigma
-    return NARROW.replace({
-        'simulation.seed': seed, 'truth.mounting.fixed_angles_deg': (x, y, z),
-        'truth.camera.focal_length_mm': 189.0 + sigma.focal_length_mm * g[3],
-        'truth.camera.principal_point_px': (20.0 * g[4], 20.0 * g[5]),
-        'truth.camera.distortion': (1e-3 * g[6], 1e-5 * g[7], 1e-4 * g[8], 1e-4 * g[9]),
-        'truth.gyro.bias_deg_h': tuple((0.1 * draws[10:]).tolist())})
-
-
-def nees(seed):
-    scenario = drawn(seed)
-    calibrator = calibrated(scenario)
-    truth = nominal(Truth.from_scenario(scenario), calibrator.stamp_ns)
-    return float(calibrator.belief.nees(truth))
-
-
 def test_sigmas_of_a_narrow_field_hold_for_all_that_may_be_true():
     """A field of 4.7 deg, initial errors of tens of pixels: without it NEES 33, one run of 289."""
-    runs = [nees(seed) for seed in range(1, 13)]
-    assert sum(runs) < chi2.ppf(0.99, 16 * len(runs))
-    assert max(runs) < chi2.ppf(1.0 - 1e-4, 16)
+    nees = first_errors.nees(NARROW, 12, lambda part: None)
+    assert nees.sum() < chi2.ppf(0.99, 16 * len(nees))
+    assert nees.max() < chi2.ppf(1.0 - 1e-4, 16)

@@ -51,7 +51,7 @@ from starcal_ros.config.parameter import ConfigError
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.nodes.base import command_line, ending
 
-_LOOK_S = 0.005                 # between looks at the inputs where nothing comes
+_LOOK_S = 0.004                 # between looks at the inputs where nothing comes
 _CALLBACKS = 4                  # of the executor, between two stretches with the inputs
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_FAILED, STATUS_USAGE = 0, 1, 2

@@ -13,10 +13,13 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation import consistency, montecarlo
 from starcal_ros.evaluation.montecarlo import MonteCarlo
 from starcal_ros.filter.states import N_STATES
+from starcal_ros.reproduction import first_errors
 from starcal_ros.reproduction.outcome import Curve, Outcome, Panel
 from starcal_ros.reproduction.published import NOT_STATED, chance
 
 RUNS = 100
+DRAWN_S = 1800.0
+"""Length of the runs whose first errors are drawn [s]."""
 COLUMNS = ('state', 'unit', 'RMS', 'bound', 'ratio', 'stated sigma')
 
 
@@ -24,7 +27,7 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
               on_progress: Callable[[float], None]) -> Outcome:
     """Run the scenario many times and hold the errors to the bound and to the covariance."""
     study = MonteCarlo(scenario, runs)
-    results, = montecarlo.run(study, work, on_progress, bounded=True)
+    results, = montecarlo.run(study, work, lambda part: on_progress(0.5 * part), bounded=True)
     summary = montecarlo.summarize(
         scenario, results, montecarlo.bound_at(scenario, work))
     rows = tuple((name, state['unit'], state['rms'], state['bound'], state['ratio'],
@@ -35,6 +38,14 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
             ('NEES', 'nees', 2, 'at the end, of 16 states', summary['nees_interval_95']),
             ('NIS', 'nis', 4, 'over its degrees of freedom', summary['nis_interval_95'])))
     expected = consistency.mean_interval(N_STATES, runs, 0.95)
+    drawn = first_errors.nees(
+        scenario.replace({'simulation.duration_s': min(
+            DRAWN_S, scenario.simulation.duration_s)}), runs,
+        lambda part: on_progress(0.5 + 0.5 * part))
+    summary |= {'nees_drawn_mean': float(drawn.mean()), 'nees_drawn_interval_95': [*expected]}
+    said += (f'NEES {drawn.mean():.2f} of {runs} runs of {DRAWN_S / 60.0:.0f} min whose first '
+             f'errors are drawn from the initial sigmas; a true filter has {expected.low:.2f} to '
+             f'{expected.high:.2f} (95 %).',)
     minutes, middle = results.time[0] / 60.0, 0.5 * (expected.low + expected.high)
     nees = Panel('Mean NEES of the 16 states', 'time [min]', 'NEES', (
         Curve(minutes, np.full_like(minutes, middle), '95 % of a true filter', 'limit',
