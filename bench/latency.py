@@ -4,8 +4,8 @@
 
 Simulators, estimator and recorder at real time, four processes. This one listens, too: for each
 frame it takes the time from when it had the frame and a gyro reading not before it, which the
-estimator waits for, to when it had the residuals, which are published behind the state. The frames of the
-first half minute do not count.
+estimator waits for, to when it had the residuals, which are published behind the state. The
+frames of the first half minute do not count.
 """
 
 from __future__ import annotations
