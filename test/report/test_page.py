@@ -418,6 +418,13 @@ def test_histograms_count_every_star_against_the_gaussian_of_its_own_sigma():
         assert chi_square < 120.0
 
 
+def test_maps_beside_each_other_have_one_size_whatever_their_numbers():
+    for intrinsics in (INTRINSICS, INTRINSICS + 1e-9):
+        layout = detector_charts.distortion_map('', DETECTOR, INTRINSICS, intrinsics).figure.layout
+        assert layout.margin.autoexpand is False and layout.height == 330
+        assert min(layout.margin.l, layout.margin.r, layout.margin.b) > 40      # for what is there
+
+
 def test_distortion_map_is_that_of_the_camera_model():
     """T18 Table 1: 3 px at the edges; a map against the same camera is empty."""
     heat = detector_charts.distortion_map('', DETECTOR, INTRINSICS).figure.data[0]
