@@ -7,8 +7,6 @@ from __future__ import annotations
 import argparse
 import os
 
-from starcal_ros.cli import arguments
-
 DESCRIPTION = ('Show what the running estimator says: the verdict, each state with its sigma and '
                'tolerance, rates, counts and a map of the stars. Ctrl-C ends it.')
 
@@ -16,7 +14,8 @@ DESCRIPTION = ('Show what the running estimator says: the verdict, each state wi
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes."""
     parser.add_argument('--namespace', metavar='NS', help='namespace of the estimator')
-    arguments.add_json(parser, 'what is new, twice a second, a line each time,')
+    parser.add_argument('--json', action='store_true', help='print what is new, twice a second, '
+                        'as a line of JSON each time')
 
 
 def run(options: argparse.Namespace) -> int:

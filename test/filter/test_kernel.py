@@ -307,9 +307,10 @@ def cache(tmp_path):
 
 def said_on_import(cache, program='import starcal_ros.filter.arithmetic'):
     """Return what a process says that imports the filter with this cache."""
+    # Away from the checkout, of which the compiled filter may be another.
     return subprocess.run([sys.executable, '-c', program], check=True, text=True,
                           env={**os.environ, 'NUMBA_CACHE_DIR': str(cache.parent)},
-                          capture_output=True).stderr
+                          cwd=cache, capture_output=True).stderr
 
 
 @pytest.mark.slow

@@ -304,7 +304,7 @@ def test_a_step_parts_the_run_into_stretches():
     outcome = result.result(calibrator, {'bag': 'spoilt.mcap'})
     page = Page(html_of(Calibration(outcome, None, history, verdict.of(calibrator), scenario, [])))
     section = next(each['text'] for each in page.all('section') if each['id'] == 'steps')
-    assert 'A step of the camera at 2026-07-02T12:03:29' in section
+    assert 'A step of the camera at 2026-07-02T12:03:30' in section
     head, *rows = page.rows('steps')
     assert len(head) == 4 and head[2].startswith('up to 2026-07-02T12:03:')
     _, _, before, after = next(row for row in rows if row[0] == 'f')
