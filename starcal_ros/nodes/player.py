@@ -30,7 +30,7 @@ from starcal_ros.config.scenario import PlayerConfig
 from starcal_ros.core.units import NS
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.topics import IMU, STARS, TOPICS
-from starcal_ros.nodes.base import parameters, run_loop
+from starcal_ros.nodes.base import command_line, parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, when_subscribed
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock
 from starcal_ros.nodes.base.qos import message_type
@@ -98,9 +98,8 @@ class Player(parameters.AnsweringNode):
         played = self._feed.published
         self.get_logger().info(f'{played.total()} messages played')
         if self._as_json:
-            print(json.dumps({'bag': self._file, 'played': {
-                publisher.topic: played[publisher] for publisher in self._playing}}),
-                flush=True)
+            command_line.tell(json.dumps({'bag': self._file, 'played': {
+                publisher.topic: played[publisher] for publisher in self._playing}}))
 
     def _choose(self, bag: Bag, player: PlayerConfig, names: dict[str, str]
                 ) -> list[RecordedTopic]:

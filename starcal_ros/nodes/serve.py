@@ -14,7 +14,7 @@ from typing import Any
 
 from starcal_ros.live.picture import encoded
 from starcal_ros.live.serving import ServerThread
-from starcal_ros.nodes.base import parameters, run_loop
+from starcal_ros.nodes.base import command_line, parameters, run_loop
 from starcal_ros.nodes.base.results_listener import ResultsListener
 
 _LOOK_S = 0.25
@@ -30,7 +30,7 @@ class Serve(ResultsListener):
         self._server = ServerThread(of, given.host, given.port)
         self.get_logger().info(f'{self._server.address} shows {of}')
         if as_json:
-            print(json.dumps({'address': self._server.address, 'shows': of}), flush=True)
+            command_line.tell(json.dumps({'address': self._server.address, 'shows': of}))
         run_loop.steady_timer(self, _LOOK_S, self._publish)
 
     def close(self) -> None:

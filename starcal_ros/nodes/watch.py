@@ -16,7 +16,7 @@ from rich.live import Live
 
 from starcal_ros.live.picture import encoded
 from starcal_ros.live.terminal import render
-from starcal_ros.nodes.base import run_loop
+from starcal_ros.nodes.base import command_line, run_loop
 from starcal_ros.nodes.base.results_listener import ResultsListener
 
 _DRAW_S = 0.5
@@ -62,9 +62,7 @@ class WatchAsJson(ResultsListener):
         if (line := encoded(self.seen)) == self._written:
             return
         self._written = line
-        try:
-            print(line.decode(), flush=True)
-        except OSError:                 # nobody reads on
+        if not command_line.tell(line.decode()):
             run_loop.request_stop()
 
 

@@ -161,6 +161,15 @@ def test_play_tells_programs_what_it_played(folder):
             '/imu/data_raw': 400, '/star_tracker/centroids': 80}})
 
 
+def test_what_nobody_reads_is_no_traceback(folder):
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(
+            [sys.executable, '-m', 'starcal_ros.cli', 'play', str(folder / 'run.mcap'), '--rate',
+             '0', '--json'], stdout=full, stderr=subprocess.PIPE, text=True, cwd=folder,
+            timeout=60.0)
+    assert 'messages played' in done.stderr and 'Traceback' not in done.stderr
+
+
 def test_offset_beyond_the_end_is_refused(start, folder):
     player = start('player', '-p', f'player.bag:={folder / "run.mcap"}',
                    '-p', 'player.start_offset_s:=41.0')

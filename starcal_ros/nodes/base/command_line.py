@@ -54,6 +54,15 @@ def help_text(module: str, doc: str | None, takes: str = '') -> str:
             f'or ros2 param describe NODE NAME')
 
 
+def tell(line: str) -> bool:
+    """Write a line on standard output; return whether somebody reads it."""
+    try:
+        print(line, flush=True)
+    except OSError:
+        return False
+    return True
+
+
 def refusal(given: list[str]) -> str:
     """Return what to say of words that a node does not know."""
     return (f'error: got {" ".join(given)}, a node takes nothing but ROS arguments: '

@@ -19,7 +19,7 @@ from starcal_ros.reproduction.published import NOT_STATED, chance
 
 RUNS = 100
 DRAWN_S = 1800.0
-"""Length of the runs whose first errors are drawn [s]."""
+"""Length of the runs whose first errors are drawn, at most [s]."""
 COLUMNS = ('state', 'unit', 'RMS', 'bound', 'ratio', 'stated sigma')
 
 
@@ -38,12 +38,11 @@ def reproduce(scenario: Scenario, runs: int, work: Path,
             ('NEES', 'nees', 2, 'at the end, of 16 states', summary['nees_interval_95']),
             ('NIS', 'nis', 4, 'over its degrees of freedom', summary['nis_interval_95'])))
     expected = consistency.mean_interval(N_STATES, runs, 0.95)
-    drawn = first_errors.nees(
-        scenario.replace({'simulation.duration_s': min(
-            DRAWN_S, scenario.simulation.duration_s)}), runs,
-        lambda part: on_progress(0.5 + 0.5 * part))
+    length_s = min(DRAWN_S, scenario.simulation.duration_s)
+    drawn = first_errors.nees(scenario.replace({'simulation.duration_s': length_s}), runs,
+                              lambda part: on_progress(0.5 + 0.5 * part))
     summary |= {'nees_drawn_mean': float(drawn.mean()), 'nees_drawn_interval_95': [*expected]}
-    said += (f'NEES {drawn.mean():.2f} of {runs} runs of {DRAWN_S / 60.0:.0f} min whose first '
+    said += (f'NEES {drawn.mean():.2f} of {runs} runs of {length_s / 60.0:.0f} min whose first '
              f'errors are drawn from the initial sigmas; a true filter has {expected.low:.2f} to '
              f'{expected.high:.2f} (95 %).',)
     minutes, middle = results.time[0] / 60.0, 0.5 * (expected.low + expected.high)
