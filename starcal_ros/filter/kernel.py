@@ -50,11 +50,11 @@ _DENSE = [WIDTH * effect + column for effect, count in (
     (TIME, 1), (VELOCITY, 3), (LENS_TERMS, 3), (PHASE_U, 2), (PHASE_V, 2), (MAGNITUDE, 2))
     for column in range(count)]
 _PLACE = np.array([*_DENSE, *(WIDTH * (_CELL + cell) + column
-                              for cell in range(_N_CELLS) for column in range(2))])
+                              for column in range(2) for cell in range(_N_CELLS))])
 _N_DENSE = len(_DENSE)
+_OWN = _PLACE - _PLACE % WIDTH
 _FIRST, _SECOND = (part.copy() for part in np.nonzero(
-    _PLACE[:, None] // WIDTH == _PLACE // WIDTH))
-_N_PAIRS = int(np.sum(_FIRST < _N_DENSE))
+    _OWN[:_N_DENSE, None] == _OWN[:_N_DENSE]))
 
 
 # Rotations, as in `core.rotation`
@@ -174,24 +174,52 @@ def _solved(L: Array, X: Array) -> None:
 
 
 @_jit
+def _dot(x: Array, y: Array) -> float:
+    """Return x'y, in four sums."""
+    whole = len(x) - len(x) % 4
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    for k in range(0, whole, 4):
+        a += x[k] * y[k]
+        b += x[k + 1] * y[k + 1]
+        c += x[k + 2] * y[k + 2]
+        d += x[k + 3] * y[k + 3]
+    for k in range(whole, len(x)):
+        a += x[k] * y[k]
+    return (a + b) + (c + d)
+
+
+@_jit
 def _multiplied(A: Array, B: Array, out: Array) -> None:
-    """Write A B to out: one term after the other, four of them for each way over a row."""
+    """Write A B to out: two rows at once, four terms each way over them, one after the other."""
     inner, columns = B.shape
-    whole = inner - inner % 4
-    for i in range(A.shape[0]):
+    rows, whole = A.shape[0], inner - inner % 4
+    for i in range(0, rows - 1, 2):
+        a, b, p, q = A[i], A[i + 1], out[i], out[i + 1]
         for c in range(columns):
-            out[i, c] = 0.0
+            p[c] = q[c] = 0.0
         for k in range(0, whole, 4):
-            f, g, h, j = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
-            if f != 0.0 or g != 0.0 or h != 0.0 or j != 0.0:
-                for c in range(columns):
-                    out[i, c] = (((out[i, c] + f * B[k, c]) + g * B[k + 1, c])
-                                 + h * B[k + 2, c]) + j * B[k + 3, c]
+            a0, a1, a2, a3 = a[k], a[k + 1], a[k + 2], a[k + 3]
+            b0, b1, b2, b3 = b[k], b[k + 1], b[k + 2], b[k + 3]
+            w, x, y, z = B[k], B[k + 1], B[k + 2], B[k + 3]
+            for c in range(columns):                    # each read once, before anything is written
+                wc, xc, yc, zc = w[c], x[c], y[c], z[c]
+                p[c] = (((p[c] + a0 * wc) + a1 * xc) + a2 * yc) + a3 * zc
+                q[c] = (((q[c] + b0 * wc) + b1 * xc) + b2 * yc) + b3 * zc
         for k in range(whole, inner):
-            factor = A[i, k]
-            if factor != 0.0:
+            a0, b0, w = a[k], b[k], B[k]
+            for c in range(columns):
+                wc = w[c]
+                p[c] += a0 * wc
+                q[c] += b0 * wc
+    if rows % 2:
+        a, p = A[rows - 1], out[rows - 1]
+        for c in range(columns):
+            p[c] = 0.0
+        for k in range(inner):
+            a0, w = a[k], B[k]
+            if a0 != 0.0:
                 for c in range(columns):
-                    out[i, c] += factor * B[k, c]
+                    p[c] += a0 * w[c]
 
 
 # The interval
@@ -280,6 +308,15 @@ def propagate(C_gi: Array, C_sg: Array, error: Array, root: Array, Delta: Array,
 
 
 # The frame
+
+_UNSEEN = _LENS - 3             # states that move no centroid: between the turns and the lens
+
+
+@_jit
+def _seen_state(j: int) -> int:
+    """Return which state is the j-th of those that move a centroid."""
+    return j if j < 3 else j + _UNSEEN
+
 
 @_jit
 def _seen(x0: float, y0: float, z0: float, camera: Array, pitch_mm: float, uv: Array, H_s: Array,
@@ -402,33 +439,28 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
              chi2, accepted, residual, nis, spread, z_used, H_used, M_used, L):
     runs, n = error.shape
     stars, m = u_i.shape[1], slopes.shape[2]
-    H, white, M = np.empty((2 * stars, n)), np.empty((2, n)), np.empty((2, n))
-    z = np.empty((stars, 2))
+    rows = 2 * stars
+    seen = n - _UNSEEN
+    H, white, z = np.zeros((rows, n)), np.empty((rows, seen)), np.empty(rows)
+    usable, left = np.empty(stars, np.bool_), np.empty(n)
     H_s, H_lens, at, A = np.empty((2, 3)), np.empty((2, 7)), np.empty(2), np.empty((n, n))
-    right = np.empty((n, n + 1))
+    right, found, root_seen = np.empty((n, n + 1)), np.empty(n), np.empty((seen, n))
     T, S, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     good = True
     for r in range(runs):
-        C, lens = C_si[r], intrinsics[r]
-        A[:] = 0.0
-        right[:] = 0.0
-        square, widest, trails = 0.0, 0.0, False
-        for k in range(3):
-            trails = trails or trail[r, k] != 0.0
-        for i in range(n):
-            A[i, i] = 1.0
+        C, lens, before = C_si[r], intrinsics[r], error[r]
+        expected, trails = before.any(), trail[r].any()
         for star in range(stars):
             u0, u1, u2 = u_i[r, star, 0], u_i[r, star, 1], u_i[r, star, 2]
             x = u0 * C[0, 0] + u1 * C[0, 1] + u2 * C[0, 2]
             y = u0 * C[1, 0] + u1 * C[1, 1] + u2 * C[1, 2]
             ahead = u0 * C[2, 0] + u1 * C[2, 1] + u2 * C[2, 2]
-            in_view = ahead > cos_field * np.sqrt(x * x + y * y + ahead * ahead)
-            if not in_view:
+            usable[star] = ahead > cos_field * np.sqrt(x * x + y * y + ahead * ahead)
+            if not usable[star]:
                 x, y, ahead = 0.0, 0.0, 1.0
             _seen(x, y, ahead, lens, pitch_mm, at, H_s, H_lens)
             for i in range(2):
                 row = H[2 * star + i]
-                row[:] = 0.0
                 if m:
                     for j in range(3):
                         row[j] = (H_s[i, 0] * shift[r, 0, j] + H_s[i, 1] * shift[r, 1, j]
@@ -441,88 +473,82 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
                         row[j] = H_s[i, j]
                 for j in range(7):
                     row[_LENS + j] = H_lens[i, j]
-                z[star, i] = at[i] - uv[r, star, i]
+                z[2 * star + i] = at[i] - uv[r, star, i]
             first, second = H[2 * star], H[2 * star + 1]
-            z_u, z_v = 0.0, 0.0
-            for j in range(n):
-                z_u += first[j] * error[r, j]
-                z_v += second[j] * error[r, j]
-            z_u, z_v = z[star, 0] - z_u, z[star, 1] - z_v
+            z_u, z_v = z[2 * star], z[2 * star + 1]
+            if expected:
+                z_u, z_v = z_u - _dot(first, before), z_v - _dot(second, before)
             i_uu, i_vu, i_vv = 1.0, 0.0, 1.0
             if trails:
-                a, b = 0.0, 0.0
-                for j in range(3):
-                    a += first[j] * trail[r, j]
-                    b += second[j] * trail[r, j]
+                a = first[0] * trail[r, 0] + first[1] * trail[r, 1] + first[2] * trail[r, 2]
+                b = second[0] * trail[r, 0] + second[1] * trail[r, 1] + second[2] * trail[r, 2]
                 i_uu = 1.0 / np.sqrt(1.0 + a * a)
                 i_vv = np.sqrt((1.0 + a * a) / (1.0 + a * a + b * b))
                 i_vu = -a * b / (1.0 + a * a) * i_vv
             deviation = sigma[r, star]
             if left_out[r, star] > 0.0:
                 deviation = np.hypot(deviation, left_out[r, star])
+            usable[star] = usable[star] and np.isfinite(deviation)
             weight = 1.0 / deviation
-            z_u, z_v = i_uu * z_u * weight, (i_vu * z_u + i_vv * z_v) * weight
+            z_used[r, 2 * star] = i_uu * z_u * weight
+            z_used[r, 2 * star + 1] = (i_vu * z_u + i_vv * z_v) * weight
+            i_uu, i_vu, i_vv = i_uu * weight, i_vu * weight, i_vv * weight
+            for j in range(seen):
+                k = _seen_state(j)
+                white[2 * star, j] = i_uu * first[k] * scale[k]
+                white[2 * star + 1, j] = (i_vu * first[k] + i_vv * second[k]) * scale[k]
+        for j in range(seen):
+            root_seen[j] = root[r, _seen_state(j)]
+        Mr = M_used[r]
+        _multiplied(white, root_seen, Mr)
+        square, widest = 0.0, 0.0
+        H_used[r] = 0.0
+        for star in range(stars):
+            upper, lower = Mr[2 * star], Mr[2 * star + 1]
+            z_u, z_v = z_used[r, 2 * star], z_used[r, 2 * star + 1]
+            uu, ww = _dot(upper, upper), _dot(lower, lower)
+            gain = _dot(upper, lower) / (1.0 + uu)
             for j in range(n):
-                white[0, j] = i_uu * first[j] * scale[j] * weight
-                white[1, j] = (i_vu * first[j] + i_vv * second[j]) * scale[j] * weight
-            _multiplied(white, root[r], M)
-            uu, uw, ww = 0.0, 0.0, 0.0
-            for j in range(n):
-                uu += M[0, j] * M[0, j]
-                uw += M[0, j] * M[1, j]
-                ww += M[1, j] * M[1, j]
-            gain = uw / (1.0 + uu)
-            rest = 0.0
-            for j in range(n):
-                left = M[1, j] - gain * M[0, j]
-                rest += left * left
-            across = z_v - gain * z_u
+                left[j] = lower[j] - gain * upper[j]
+            rest, across = _dot(left, left), z_v - gain * z_u
             chi2[r, star] = z_u * z_u / (1.0 + uu) + across * across / (
                 1.0 + gain * gain + rest)
-            use = in_view and np.isfinite(deviation) and chi2[r, star] <= gate
-            accepted[r, star] = use
-            if not use:
-                for i in range(2 * star, 2 * star + 2):
-                    z_used[r, i] = 0.0
+            accepted[r, star] = usable[star] and chi2[r, star] <= gate
+            if accepted[r, star]:
+                widest = max(widest, uu, ww)
+                square += z_u * z_u + z_v * z_v
+                for row in range(2 * star, 2 * star + 2):
+                    for j in range(seen):
+                        H_used[r, row, _seen_state(j)] = white[row, j]
+            else:
+                for row in range(2 * star, 2 * star + 2):
+                    z_used[r, row] = 0.0
                     for j in range(n):
-                        H_used[r, i, j] = M_used[r, i, j] = 0.0
-                continue
-            widest = max(widest, uu, ww)
-            z_used[r, 2 * star], z_used[r, 2 * star + 1] = z_u, z_v
-            square += z_u * z_u + z_v * z_v
-            for i in range(2):
-                for j in range(n):
-                    H_used[r, 2 * star + i, j] = white[i, j]
-                    M_used[r, 2 * star + i, j] = M[i, j]
-                each = z_u if i == 0 else z_v
-                for j in range(n):
-                    factor = M[i, j]
-                    right[j, n] += factor * each
-                    for k in range(j + 1):
-                        A[j, k] += factor * M[i, k]
+                        Mr[row, j] = 0.0
         spread[r] = np.sqrt(widest)
+        _multiplied(Mr.T, Mr, A)
+        for i in range(n):
+            A[i, i] += 1.0
         good = _factored(A, L[r]) and good
+        # L^-1 root', of which the transposed is the root after it, and L^-1 M' z
         for i in range(n):
             for j in range(n):
                 right[i, j] = root[r, j, i]
+            right[i, n] = 0.0
+        for row in range(rows):
+            factor = z_used[r, row]
+            for i in range(n):
+                right[i, n] += Mr[row, i] * factor
         _solved(L[r], right)
-        explained = 0.0
         for i in range(n):
-            explained += right[i, n] * right[i, n]
+            found[i] = right[i, n]
             for j in range(n):
                 root_after[r, j, i] = right[i, j]
-        nis[r] = square - explained
+        nis[r] = square - _dot(found, found)
         for i in range(n):
-            step = 0.0
-            for k in range(n):
-                step += root_after[r, i, k] * right[k, n]
-            error_after[r, i] = error[r, i] + scale[i] * step
-        for star in range(stars):
-            for i in range(2):
-                value = 0.0
-                for j in range(n):
-                    value += H[2 * star + i, j] * error_after[r, j]
-                residual[r, star, i] = value - z[star, i]
+            error_after[r, i] = before[i] + scale[i] * _dot(root_after[r, i], found)
+        for row in range(rows):
+            residual[r, row // 2, row % 2] = _dot(H[row], error_after[r]) - z[row]
         freed[r] = 0.0
         C_gi_after[r], bias_after[r], C_sg_after[r] = C_gi[r], bias[r], C_sg[r]
         intrinsics_after[r] = lens
@@ -693,24 +719,19 @@ def _along(E, GE, g, sized, paired):
       'b1[::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], i8[:,::1], f8[::1])')
 def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, magnitude, accepted,
            spread, nis, half, C_sg, noise, judged, e, L_N, normal, cell, log_det):
-    # With P = L^-1 M': D' S^-1 D = D' D - (P D)' (P D) of any directions D. Of effects that move
-    # the states alone D = H E, of the others H E + d, d of few columns or few rows.
+    # With P = L^-1 M': D' S^-1 D = D' D - (P D)' (P D) of any directions D: those in which the
+    # states that move a centroid move the innovation, H, z itself, and those in which the effects
+    # do that move the centroids themselves, d, of which the cells have two a row.
     runs, n, columns = E.shape
     stars = accepted.shape[1]
-    rows, effects = 2 * stars, columns // WIDTH
-    P, Y, G, g, y = (np.empty((n, rows)), np.empty((n, n)), np.empty((n, n)), np.empty(n),
-                     np.empty(n))
+    rows, effects, wide = 2 * stars, columns // WIDTH, len(_PLACE)
+    m = n - _UNSEEN
     d, along = np.empty((rows, _N_DENSE)), np.empty((rows, 2))
-    wide = len(_PLACE)
-    X, HSd, RX = np.empty((n, wide)), np.empty((n, wide)), np.empty((n, wide))  # X = P d
-    HT, YT = np.empty((n, rows)), np.empty((n, n))
-    Pd, Hd, crossed = np.empty((n, _N_DENSE)), np.empty((n, _N_DENSE)), np.empty((wide, WIDTH))
-    dSd, dSz = np.empty(len(_FIRST)), np.empty(wide)            # HSd = H' S^-1 d, and so on
     N, v = np.empty((3, 3)), np.empty(3)
-    both, F = np.empty((2 * n, columns)), np.empty((2 * n, n))
-    KY, sized, paired = np.empty((n, n)), np.empty(columns), np.empty((WIDTH, columns))
+    sized, paired, crossed = np.empty(columns), np.empty((WIDTH, columns)), np.empty((wide, WIDTH))
+    squares = np.empty((3, _N_CELLS))
     for r in range(runs):
-        Hr, Mr, zr = H[r], M[r], z[r]
+        Hr, zr = H[r], z[r]
         used = 0
         log_det[r] = 0.0
         for k in range(n):
@@ -720,40 +741,51 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                 used += 1
                 log_det[r] += 4.0 * np.log(sigma[r, star])
             for i in range(2):
-                row, square = 2 * star + i, 0.0
-                for k in range(n):
-                    square += Mr[row, k] * Mr[row, k]
-                    P[k, row] = Mr[row, k]
-                normal[r, star, i] = zr[row] / np.sqrt(1.0 + square)
+                row = 2 * star + i
+                normal[r, star, i] = zr[row] / np.sqrt(1.0 + _dot(M[r, row], M[r, row]))
             x = int((uv[r, star, 0] / half[0] + 1.0) * (0.5 * CELLS))
             w = int((uv[r, star, 1] / half[1] + 1.0) * (0.5 * CELLS))
             cell[r, star] = CELLS * min(max(w, 0), CELLS - 1) + min(max(x, 0), CELLS - 1)
-        _solved(L[r], P)
-        # Y = P H, y = P z, G = H' S^-1 H, g = H' S^-1 z
-        _multiplied(P, Hr, Y)
-        G[:] = 0.0
-        g[:] = 0.0
+        _direct(Hr, C_si[r], rate_s[r], u_i[r], uv[r], magnitude[r], half, d, along)
+        # The products of [M H z d] with D = [H z d cells], and from them PD, D' S^-1 D and K D
+        at = m + 1                                              # where d begins
+        width = at + _N_DENSE
+        left, W = np.empty((rows, n + width)), np.empty((rows, width))
         for row in range(rows):
-            for i in range(n):
-                factor = Hr[row, i]
-                if factor != 0.0:
-                    g[i] += factor * zr[row]
-                    for j in range(n):
-                        G[i, j] += factor * Hr[row, j]
-        for i in range(n):
-            value = 0.0
-            for row in range(rows):
-                value += P[i, row] * zr[row]
-            y[i] = value
+            for j in range(m):
+                W[row, j] = Hr[row, _seen_state(j)]
+            W[row, m] = zr[row]
+            for j in range(_N_DENSE):
+                W[row, at + j] = d[row, j]
             for k in range(n):
-                factor = Y[i, k]
-                g[k] -= factor * value
-                for j in range(n):
-                    G[k, j] -= factor * Y[i, j]
+                left[row, k] = M[r, row, k]
+            for j in range(width):
+                left[row, n + j] = W[row, j]
+        by_cell = np.zeros((2 * _N_CELLS, n + width))
+        for row in range(rows):
+            for c in range(2):
+                factor, sums = along[row, c], by_cell[_N_CELLS * c + cell[r, row // 2]]
+                for k in range(n + width):
+                    sums[k] += factor * left[row, k]
+        by_W, products = np.empty((n + width, width)), np.empty((n + width, at + wide))
+        _multiplied(left.T, W, by_W)
+        for k in range(n + width):
+            for j in range(width):
+                products[k, j] = by_W[k, j]
+            for c in range(2 * _N_CELLS):
+                products[k, width + c] = by_cell[c, k]
+        PD, S = products[:n], np.empty((width, at + wide))
+        _solved(L[r], PD)
+        _multiplied(PD[:, :width].T, PD, S)
+        for i in range(width):
+            for j in range(at + wide):
+                S[i, j] = products[n + i, j] - S[i, j]
+        K = np.empty((n, at + wide))
+        _multiplied(root[r], PD, K)
         for i in range(3):
-            v[i] = g[i] / _TURN
+            v[i] = S[i, m] / _TURN
             for j in range(3):
-                N[i, j] = G[i, j] / _TURN / _TURN
+                N[i, j] = S[i, j] / _TURN / _TURN
         judged[r] = False
         if used > 2 and spread[r] < SPREAD and np.isfinite(nis[r]):
             least, most = _extreme_values(N)
@@ -767,56 +799,20 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
         else:
             L_N[r] = np.eye(3)
             e[r] = v
-        # Direct effects
-        _direct(Hr, C_si[r], rate_s[r], u_i[r], uv[r], magnitude[r], half, d, along)
-        for row in range(rows):
+        # E <- E - K D, D = H E + d, and G E, in one product
+        E_seen, F, both = (np.empty((m, columns)), np.empty((n + m, m)),
+                           np.empty((n + m, columns)))
+        for j in range(m):
+            E_seen[j] = E[r, _seen_state(j)]
             for k in range(n):
-                HT[k, row] = Hr[row, k]
-        for i in range(n):
-            for k in range(n):
-                YT[i, k] = Y[k, i]
-        _multiplied(P, d, Pd)
-        _multiplied(HT, d, Hd)
-        X[:] = 0.0
-        HSd[:] = 0.0
-        X[:, :_N_DENSE] = Pd
-        HSd[:, :_N_DENSE] = Hd
-        dSd[:] = 0.0
-        dSz[:] = 0.0
-        for row in range(rows):
-            base, pair = _N_DENSE + 2 * cell[r, row // 2], _N_PAIRS + 4 * cell[r, row // 2]
-            for k in range(n):
-                for c in range(2):
-                    X[k, base + c] += P[k, row] * along[row, c]
-                    HSd[k, base + c] += HT[k, row] * along[row, c]
-            for c in range(_N_DENSE):
-                dSz[c] += d[row, c] * zr[row]
-            for q in range(_N_PAIRS):
-                dSd[q] += d[row, _FIRST[q]] * d[row, _SECOND[q]]
-            for c in range(2):
-                dSz[base + c] += along[row, c] * zr[row]
-                for b in range(2):
-                    dSd[pair + 2 * c + b] += along[row, c] * along[row, b]
-        for k in range(n):
-            for c in range(wide):
-                dSz[c] -= X[k, c] * y[k]
-            for q in range(len(_FIRST)):
-                dSd[q] -= X[k, _FIRST[q]] * X[k, _SECOND[q]]
-        _multiplied(YT, X, RX)
-        for i in range(n):
-            for c in range(wide):
-                HSd[i, c] -= RX[i, c]
-        # E <- E - root (Y E + X), and G E, in one product
-        _multiplied(root[r], Y, KY)
-        for i in range(n):
-            for j in range(n):
-                F[i, j] = (1.0 if i == j else 0.0) - KY[i, j]
-                F[n + i, j] = G[i, j]
-        _multiplied(F, E[r], both)
+                F[k, j] = K[k, j]
+            for i in range(m):
+                F[n + i, j] = S[i, j]
+        _multiplied(F, E_seen, both)
         if judged[r]:
             # Over all columns at once: of each with itself and with the two before it, of which
             # those of its own effect count.
-            _along(E[r], both[n:], g, sized, paired)
+            _along(E_seen, both[n:], S[:, m], sized, paired)
             for effect in range(effects):
                 for a in range(WIDTH):
                     c = WIDTH * effect + a
@@ -827,27 +823,48 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                             information[r, effect, b, a] += paired[a - b, c]
             # E' H' S^-1 d of all columns of the effect, and its transposed
             crossed[:] = 0.0
-            for k in range(n):
+            for k in range(m):
+                Ek, Sk = E_seen[k], S[k]
                 for c in range(wide):
-                    first = _PLACE[c] - _PLACE[c] % WIDTH
-                    for b in range(WIDTH):
-                        crossed[c, b] += E[r, k, first + b] * HSd[k, c]
+                    first, factor = _OWN[c], Sk[at + c]
+                    crossed[c, 0] += Ek[first] * factor
+                    crossed[c, 1] += Ek[first + 1] * factor
+                    crossed[c, 2] += Ek[first + 2] * factor
             for c in range(wide):
                 effect, a = _PLACE[c] // WIDTH, _PLACE[c] % WIDTH
-                s[r, effect, a] += dSz[c]
+                s[r, effect, a] += S[m, at + c]
                 for b in range(WIDTH):
                     information[r, effect, b, a] += crossed[c, b]
                     information[r, effect, a, b] += crossed[c, b]
+            # d' S^-1 d
             for q in range(len(_FIRST)):
                 c, b = _PLACE[_FIRST[q]], _PLACE[_SECOND[q]]
-                information[r, c // WIDTH, c % WIDTH, b % WIDTH] += dSd[q]
+                information[r, c // WIDTH, c % WIDTH, b % WIDTH] += S[at + _FIRST[q],
+                                                                      at + _SECOND[q]]
+            squares[:] = 0.0
+            for k in range(n):
+                u, v_ = PD[k, width:width + _N_CELLS], PD[k, width + _N_CELLS:]
+                for c in range(_N_CELLS):
+                    squares[0, c] -= u[c] * u[c]
+                    squares[1, c] -= u[c] * v_[c]
+                    squares[2, c] -= v_[c] * v_[c]
+            for row in range(rows):
+                c, a, b = cell[r, row // 2], along[row, 0], along[row, 1]
+                squares[0, c] += a * a
+                squares[1, c] += a * b
+                squares[2, c] += b * b
+            for c in range(_N_CELLS):
+                own = information[r, _CELL + c]
+                own[0, 0] += squares[0, c]
+                own[0, 1] += squares[1, c]
+                own[1, 0] += squares[1, c]
+                own[1, 1] += squares[2, c]
             _undrawn(N, C_sg[r], noise[r], s[r])
-        _multiplied(root[r], X, RX)
         for i in range(n):
             for c in range(columns):
-                E[r, i, c] = both[i, c]
+                E[r, i, c] -= both[i, c]
             for c in range(wide):
-                E[r, i, _PLACE[c]] -= RX[i, c]
+                E[r, i, _PLACE[c]] -= K[i, at + c]
 
 
 def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Array,
