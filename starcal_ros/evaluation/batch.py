@@ -18,6 +18,7 @@ from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
+from starcal_ros.filter import arithmetic
 from starcal_ros.filter.acquisition import WIDE, acquire, agreed
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import Filter, Update
@@ -140,7 +141,7 @@ class _Gyro:
     def again(self, cuts_ns: Ints, about: Nominal) -> Preintegrated:
         return preintegrate(self._samples, cuts_ns, about.bias, 1e9 / self._rate_hz,
                             about.augmentation.needs_matrix,
-                            about.augmentation.gain(about.augmented))
+                            about.augmentation.gain(about.augmented), arithmetic.compose)
 
 
 def _padded(frames: Sequence[Frames], scenario: Scenario, filter_: Filter

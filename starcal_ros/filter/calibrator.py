@@ -23,6 +23,7 @@ import numpy as np
 from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.filter import arithmetic
 from starcal_ros.filter.attitude_lock import AttitudeLock
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
@@ -361,7 +362,7 @@ class Calibrator:
     def _integrated(self, samples: GyroSamples, cuts: Ints, about: Nominal) -> Preintegrated:
         return preintegration.preintegrate(
             samples, cuts, about.bias, self._period_ns, about.augmentation.needs_matrix,
-            about.augmentation.gain(about.augmented))
+            about.augmentation.gain(about.augmented), arithmetic.compose)
 
     def _track(self, until_ns: int) -> AttitudeTrack:
         if self.belief is None:

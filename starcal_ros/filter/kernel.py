@@ -224,6 +224,51 @@ def _multiplied(A: Array, B: Array, out: Array) -> None:
 
 # The interval
 
+@_jit('void(f8[:,::1], f8[::1], i8[::1], f8[:,:,::1], f8[:,:,::1])')
+def _compose(theta, dt, first, Delta, J):
+    # exp(phi) = 1 + a [phi x] + b [phi x]^2 and its right Jacobian 1 - b [phi x] + c [phi x]^2,
+    # phi = -theta
+    n, columns = len(first) - 1, J.shape[2]
+    step, J_r, turned = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for k in range(n):
+        D, Jk = Delta[k], J[k]
+        D[:] = np.eye(3)
+        Jk[:] = 0.0
+        for piece in range(first[k], first[k + 1]):
+            x, y, z = -theta[piece, 0], -theta[piece, 1], -theta[piece, 2]
+            xx, yy, zz = x * x, y * y, z * z
+            s = xx + yy + zz
+            if s < 1e-2:                        # the next terms are below 1e-17
+                a = 1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0)))
+                b = 0.5 - s / 24.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0 * (1.0 - s / 90.0)))
+                c = (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0 * (1.0 - s / 110.0)))) / 6.0
+            else:
+                angle = np.sqrt(s)
+                a, b = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle)**2
+                c = (1.0 - a) / s
+            for i, j, cross, product in ((0, 1, -z, x * y), (0, 2, y, x * z), (1, 2, -x, y * z)):
+                step[i, j], step[j, i] = b * product + a * cross, b * product - a * cross
+                J_r[i, j], J_r[j, i] = c * product - b * cross, c * product + b * cross
+            for i, square in ((0, yy + zz), (1, xx + zz), (2, xx + yy)):
+                step[i, i], J_r[i, i] = 1.0 - b * square, 1.0 - c * square
+            _transposed_product(D, J_r, turned)
+            for i in range(3):
+                for j in range(3):
+                    Jk[i, j] += turned[i, j] * dt[piece]
+                    for m in range(3 if columns > 3 else 0):
+                        Jk[i, 3 + 3 * j + m] += turned[i, j] * theta[piece, m]
+            _product(step, D, turned)
+            D[:] = turned
+
+
+def compose(theta: Array, dt: Array, first: Ints, with_matrix: bool) -> tuple[Array, Array]:
+    """Do as `preintegration.composed`, one piece after the other."""
+    n = len(first) - 1
+    Delta, J = np.empty((n, 3, 3)), np.empty((n, 3, 12 if with_matrix else 3))
+    _compose(*map(ready, (theta, dt, first)), Delta, J)
+    return Delta, J
+
+
 @_jit('void(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], '
       'f8[:,:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[::1], '
       'f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1])')

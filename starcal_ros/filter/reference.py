@@ -18,8 +18,10 @@ from starcal_ros.filter import curvature, hypotheses, likelihood, process_noise,
 from starcal_ros.filter.frame_innovation import BLIND, SPREAD, cell_of, tally
 from starcal_ros.filter.states import EPSILON, LENS, PSI, SCALE, THETA
 from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, TestSums, Values
+from starcal_ros.measurements.preintegration import composed as compose
 
-__all__ = ['COMPILED', 'advance', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally']
+__all__ = ['COMPILED', 'advance', 'bends', 'carry', 'compose', 'correct', 'judge', 'propagate',
+           'tally']
 
 COMPILED = False
 

@@ -17,7 +17,7 @@ is taken off omega, and J has nine more columns: the derivative by N of ``omega 
 by row. Of one piece that is ``J_r dt (I kron omega')``, where that by eps is ``J_r dt``.
 
 Two neighbouring intervals compose as ``Delta_B Delta_A`` and ``J_A + Delta_A' J_B``, which is
-associative: the pieces are paired up in a tree, all frames at once.
+associative: here the pieces are paired up in a tree, all frames at once.
 
 A reading is the mean rate over the interval that ends at its stamp, and the rate is taken as
 constant over it, so a frame may fall anywhere. A silence is bridged by the mean of the rates on
@@ -27,7 +27,7 @@ alpha t^2 / 2, which is returned as a standard deviation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +36,8 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 from starcal_ros.measurements.samples import GyroSamples
+
+Compose = Callable[[Array, Array, Ints, bool], tuple[Array, Array]]
 
 GAP = 1.5               # sampling intervals without a reading that count as a silence
 _BATCH = 1000           # intervals composed at once; bounds the memory to some 20 MB, with M 40 MB
@@ -149,7 +151,8 @@ def cut(gyro: GyroSamples, cuts_ns: Ints, period_ns: float) -> Pieces:
 
 
 def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float,
-                 with_matrix: bool = False, gain: Array = np.eye(3)) -> Preintegrated:
+                 with_matrix: bool = False, gain: Array = np.eye(3),
+                 compose: Compose | None = None) -> Preintegrated:
     """Compose the readings between neighbouring stamps.
 
     Parameters
@@ -166,6 +169,8 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
         Give the derivative by the gyro matrix too.
     gain : (3, 3) array
         Reference G: the rate of g is ``gain @ (reading - bias)``.
+    compose : callable, optional
+        What composes the pieces in place of `composed`.
 
     Returns
     -------
@@ -180,13 +185,7 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
     interval = np.searchsorted(cuts_ns, pieces.end_ns) - 1
     first = np.searchsorted(interval, np.arange(n + 1))
     theta = (pieces.rate - bias) @ gain.T * pieces.dt[:, None]
-    Delta, J = np.empty((n, 3, 3)), np.empty((n, 3, 12 if with_matrix else 3))
-    for low in range(0, n, _BATCH):
-        high = min(low + _BATCH, n)
-        rows = slice(first[low], first[high])
-        Delta[low:high], J[low:high] = _compose(
-            theta[rows], pieces.dt[rows], interval[rows] - low,
-            np.arange(first[low], first[high]) - first[interval[rows]], high - low, with_matrix)
+    Delta, J = (compose or composed)(theta, pieces.dt, first, with_matrix)
     return Preintegrated(Delta, J, np.diff(cuts_ns) * NS,
                          np.bincount(interval, pieces.gap_turn, n).astype(np.float64),
                          gyro.rate[last], np.maximum(share, 0.0),
@@ -210,8 +209,39 @@ def _covered_ns(stamps: Ints, period_ns: float) -> Ints:
     return np.where(step > GAP * period_ns, int(period_ns), step)
 
 
-def _compose(theta: Array, dt: Array, interval: Ints, rank: Ints,
-             n: int, with_matrix: bool) -> tuple[Array, Array]:
+def composed(theta: Array, dt: Array, first: Ints, with_matrix: bool) -> tuple[Array, Array]:
+    """Compose pieces of constant rate into those of each interval, Eq. (P.1).
+
+    Parameters
+    ----------
+    theta : (k, 3) array
+        Turn of g in each piece [rad].
+    dt : (k,) array
+        Its length [s].
+    first : (n + 1,) int64 array
+        Where the pieces of each interval begin, and the last end.
+    with_matrix : bool
+        Give the derivative by the gyro matrix too.
+
+    Returns
+    -------
+    Delta : (n, 3, 3) array
+    J : (n, 3, 3) or (n, 3, 12) array
+    """
+    n = len(first) - 1
+    Delta, J = np.empty((n, 3, 3)), np.empty((n, 3, 12 if with_matrix else 3))
+    for low in range(0, n, _BATCH):
+        high = min(low + _BATCH, n)
+        rows = slice(first[low], first[high])
+        interval = np.repeat(np.arange(high - low), np.diff(first[low:high + 1]))
+        rank = np.arange(first[low], first[high]) - first[low:high][interval]
+        Delta[low:high], J[low:high] = _paired_up(
+            theta[rows], dt[rows], interval, rank, high - low, with_matrix)
+    return Delta, J
+
+
+def _paired_up(theta: Array, dt: Array, interval: Ints, rank: Ints,
+               n: int, with_matrix: bool) -> tuple[Array, Array]:
     """Compose pieces, each the `rank`-th of its interval, into n Delta and J."""
     width = 1 << int(rank.max(initial=0)).bit_length()
     Delta = np.broadcast_to(np.eye(3), (n, width, 3, 3)).copy()

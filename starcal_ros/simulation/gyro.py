@@ -24,11 +24,11 @@ from __future__ import annotations
 import numpy as np
 
 from starcal_ros.config.scenario import Scenario
-from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Ints
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR, NS
 from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation.errors import switched_on
+from starcal_ros.simulation.motion import turns
 from starcal_ros.simulation.truth import Truth
 
 
@@ -72,8 +72,7 @@ class GyroSimulator:
         stop = min(self.next_index + count, self.count)
         stamps = self.stamp_ns(np.arange(self.next_index - 1, stop))
         self.next_index = stop
-        C_ig = self._truth.motion.attitude(stamps)
-        theta = rotation.log(np.swapaxes(C_ig[:-1], -1, -2) @ C_ig[1:])
+        theta = turns(self._truth.motion, stamps)
         dt = np.diff(stamps)[:, None] * NS
         noise = self._rng.standard_normal(theta.shape)
         rate = theta / dt

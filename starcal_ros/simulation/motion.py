@@ -17,6 +17,7 @@ import numpy as np
 from starcal_ros.config.scenario import Scenario, stamp_ns
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.remembered import remembered
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,13 @@ class Motion:
         down = np.maximum(t - (duration - ramp), 0.0)
         turned = (0.5 * self.acceleration * (up * up - down * down) + peak * (t - up))
         return np.sign(self.angle[step]) * turned
+
+
+@remembered
+def turns(motion: Motion, stamps_ns: Ints) -> Array:
+    """Return the rotation vectors of g between neighbouring stamps, (n - 1, 3) [rad]."""
+    C_ig = motion.attitude(stamps_ns)
+    return rotation.log(np.swapaxes(C_ig[:-1], -1, -2) @ C_ig[1:])
 
 
 def _slew_duration(size: Array, rate: float, acceleration: float) -> Array:

@@ -13,9 +13,10 @@ from starcal_ros.config.models import observer
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.remembered import remembered
 from starcal_ros.simulation.star_images import instants_ns
 from starcal_ros.simulation.truth import Truth
-from starcal_ros.sky.apparent import apparent_places
+from starcal_ros.sky.apparent import Observer, apparent_places
 from starcal_ros.sky.catalog import Catalog
 
 Rows = Ints
@@ -68,12 +69,10 @@ class StarView:
         u_i : (n, 3) array
             Apparent place in the middle of the exposure.
         """
-        C_si = self.truth.attitude_si(middle_ns)
-        near = C_si[:, 2, :] @ self._direction.T > self._cos_radius
-        frame, star = np.nonzero(near)
-        u_i = apparent_places(self._stars, star, middle_ns, near.sum(axis=1), self._observer)
-        there = camera.unfolded((C_si[frame] @ u_i[..., None])[..., 0], self.truth.intrinsics)
-        return frame[there], star[there], u_i[there]
+        frame, star, u_i = _near(middle_ns, self.truth.attitude_si(middle_ns), self._cos_radius,
+                                 self.truth.intrinsics, self._direction, self._stars,
+                                 self._observer)
+        return frame, star, u_i
 
     def at(self, stamps_ns: Rows, frame: Rows, u_i: Array) -> Array:
         """Return the images uv (n, 2) [px] of stars of some frames, each frame at its stamp."""
@@ -85,3 +84,14 @@ class StarView:
         """Return the images (5, n, 2) [px] at the `instants_ns` of the exposure."""
         return np.stack([self.at(middle_ns + instant, frame, u_i)
                          for instant in self._instants_ns])
+
+
+@remembered
+def _near(middle_ns: Rows, C_si: Array, cos_radius: float, intrinsics: Array, direction: Array,
+          stars: Catalog, seen_by: Observer) -> tuple[Rows, Rows, Array]:
+    """Return what `StarView.near` does."""
+    near = C_si[:, 2, :] @ direction.T > cos_radius
+    frame, star = np.divmod(np.flatnonzero(near), near.shape[1])    # nonzero of two axes is slow
+    u_i = apparent_places(stars, star, middle_ns, near.sum(axis=1), seen_by)
+    there = camera.unfolded((C_si[frame] @ u_i[..., None])[..., 0], intrinsics)
+    return frame[there], star[there], u_i[there]

@@ -24,7 +24,7 @@ from starcal_ros.simulation import sensors
 
 RUNS, STARS = 5, 9
 CURVATURE = Filter(TAN2018).model.curvature
-FUNCTIONS = ('advance', 'bends', 'carry', 'correct', 'judge', 'propagate', 'tally')
+FUNCTIONS = ('advance', 'bends', 'carry', 'compose', 'correct', 'judge', 'propagate', 'tally')
 OPTIONAL = {'estimator.augment.time_offset_sigma_s': 0.005,
             'estimator.augment.gyro_matrix_sigma_ppm': 500.0}
 
@@ -74,6 +74,21 @@ def same(found, expected):
     for name, left, right in zip(expected._fields, found, expected):
         scale = 1.0 + np.abs(right).max(initial=0.0)
         np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-11 * scale, err_msg=name)
+
+
+@pytest.mark.parametrize('with_matrix', [False, True])
+@pytest.mark.parametrize('largest', [1e-9, 1e-3, 0.099, 0.101, 3.0])
+def test_composed_pieces_are_those_of_the_reference(largest, with_matrix):
+    rng = np.random.default_rng(5)
+    first = np.array([0, 0, 1, 4, 60, 60, 200])         # of no piece, of one, of many
+    theta = largest * rng.uniform(-1.0, 1.0, size=(first[-1], 3)) / np.sqrt(3.0)
+    theta[2] = 0.0
+    dt = rng.uniform(0.1, 1.0, size=len(theta))
+    expected, found = (part.compose(theta, dt, first, with_matrix)
+                       for part in (reference, kernel))
+    for ours, theirs in zip(found, expected):
+        np.testing.assert_allclose(ours, theirs, atol=2e-10 * np.abs(theirs).max())
+    np.testing.assert_allclose(found[0], expected[0], atol=1e-13)
 
 
 @pytest.mark.parametrize('walks', [False, True])
