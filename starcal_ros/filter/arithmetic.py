@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 try:
     from starcal_ros.filter.kernel import (COMPILED, advance, bends, carry, compose, correct,
-                                           judge, propagate, tally)
+                                           fit, judge, propagate, tally)
 except Exception as error:      # no numba; or its cache has no place, is full, or is damaged
     if not isinstance(error, ModuleNotFoundError):
         print(f'starcal_ros: the filter runs uncompiled: {error or type(error).__name__}',
               file=sys.stderr)
     from starcal_ros.filter.reference import (COMPILED, advance, bends, carry, compose, correct,
-                                              judge, propagate, tally)
+                                              fit, judge, propagate, tally)
 
-__all__ = ['COMPILED', 'LeadingAxes', 'advance', 'bends', 'carry', 'compose', 'correct', 'judge',
-           'propagate', 'tally']
+__all__ = ['COMPILED', 'LeadingAxes', 'advance', 'bends', 'carry', 'compose', 'correct', 'fit',
+           'judge', 'propagate', 'tally']
 
 
 class LeadingAxes:

@@ -267,7 +267,7 @@ class Calibrator:
                 stamp_ns, after, frames.uv_raster[own], found.residual[stars], found.chi2[stars],
                 found.accepted[stars], frames.catalog_id[own], float(found.nis[row]),
                 found.turn[row], True, track))
-            self._reprojection.add(stamp_ns, found.squares[row], int(found.used[row]))
+        self._reprojection.add(stamps, found.squares, found.used)
         self.stamp_ns = stamp_ns
         self._lock.hold()
         used = int(found.used.sum())
@@ -387,7 +387,8 @@ class Calibrator:
         self._count(1, used, rejected)
         self._lock.account(used, rejected, self.stamp_ns)
         self._reprojection.add(
-            self.stamp_ns, np.sum(update.residual[update.accepted]**2, axis=0), used)
+            np.array([self.stamp_ns]),
+            np.sum(update.residual[update.accepted]**2, axis=0, keepdims=True), np.array([used]))
 
     def _count(self, frames: int, used: int, rejected: int) -> None:
         self.counts.frames += frames

@@ -86,6 +86,11 @@ class Weighed(NamedTuple):
             fits=_sizes(self.effect.numbers, fit, k, self.harm), gain=float(fit.gain[k]))
 
 
+_ALONE = [Effect(each.name, each.numbers, k, 1)
+          for k, each in enumerate(HYPOTHESES[:CELL.start])]
+_PLACES = len(HYPOTHESES) + np.arange(N_EFFECTS).reshape(-1, len(CHANGING))     # of the steps
+
+
 def weighed(E: Array, root: Array, fit: Fit, begun: int, known: AbstractSet[int]
             ) -> Iterator[Weighed]:
     """Yield the effects of which something is told.
@@ -123,17 +128,14 @@ def told(counted: Array, begun: int) -> list[Effect]:
     begun : int
         As for `weighed`.
     """
-    found = [Effect(each.name, each.numbers, k, 1)
-             for k, each in enumerate(HYPOTHESES[:CELL.start])]
+    found = list(_ALONE)
     cell = CELL.start + int(np.argmax(counted[CELL]))
     found.append(Effect('displacement in the worst cell', tuple(
         f'{name} {cell_name(cell - CELL.start)}' for name in HYPOTHESES[cell].numbers), cell,
         CELL.stop - CELL.start))
+    worst = np.argmax(counted[_PLACES], axis=0).tolist()
     for state, (name, numbers) in enumerate(zip(CHANGING, STEP_NUMBERS)):
-        places = len(HYPOTHESES) + state + len(CHANGING) * np.arange(
-            N_EFFECTS // len(CHANGING))
-        found.append(Effect(f'step of the {name}', numbers,
-                            int(places[np.argmax(counted[places])]),
+        found.append(Effect(f'step of the {name}', numbers, int(_PLACES[worst[state], state]),
                             len(CHANGING) * max(begun, 1)))
     return found
 

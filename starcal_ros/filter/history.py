@@ -25,7 +25,7 @@ from starcal_ros.measurements.samples import Frames
 MOST = 20_000
 """Frames that are kept at once, at most: nearly 3 h at 2 Hz are kept whole."""
 
-_BLOCK = 500            # frames whose covariances are looked at together
+_BLOCK = 500            # frames that are kept as they came, at most
 _WAITING = 50_000       # frames whose result is still to come: more than a calibrator keeps
 
 
@@ -107,24 +107,24 @@ class History:
     turned: Array
 
 
-_Stars = tuple[Array, Array, Mask, Array, Ints]
-
-
 class _Row(NamedTuple):
-    """What is kept of a frame; its stars are copied, since a part of a batch holds all of it."""
+    """A frame, parts of a batch, and what its stars state; in a block they are copied."""
 
-    stamp_ns: int
-    belief: Belief
-    nis: float
-    turn: Array
-    stars: _Stars
+    frame: FrameResult
+    stated: Array
 
 
 class _Block(NamedTuple):
-    """Rows as arrays, in the order of `History`, and the stars of each."""
+    """Rows as arrays, in the order of `History`, and those of their stars."""
 
     arrays: tuple[Any, ...]
-    stars: list[_Stars]
+    stars: tuple[Any, ...]
+
+    def thinned(self) -> _Block:
+        """Return every other row."""
+        kept = np.repeat(np.arange(len(self.arrays[0])) % 2 == 0, self.arrays[-1])
+        return _Block(tuple(part[::2] for part in self.arrays),
+                      tuple(part[kept] for part in self.stars))
 
 
 class HistoryKeeper:
@@ -142,7 +142,7 @@ class HistoryKeeper:
         self._frames, self._every, self._kept = 0, 1, 0
         self._rows: list[_Row] = []
         self._blocks: list[_Block] = []
-        self._last: tuple[FrameResult, Array] | None = None
+        self._last: _Row | None = None
         self._stated: dict[int, Array] = {}         # sigmas of the stars, by the frame's stamp
         self._C_gi: list[Array] = []                # of the last frames
         self._turned = np.zeros(3)
@@ -162,12 +162,12 @@ class HistoryKeeper:
         if len(self._C_gi) == _BLOCK:
             self._add_turns()
         if self._frames % self._every == 0:
-            self._rows.append(_row(frame, stated))
+            self._rows.append(_Row(frame, stated))
             self._last = None
         else:
-            self._last = frame, stated
+            self._last = _Row(frame, stated)
         self._frames += 1
-        if len(self._rows) == _BLOCK:
+        if self._frames % _BLOCK == 0:
             self._end_block()
 
     def history(self, noise_factor: float) -> History:
@@ -179,14 +179,11 @@ class HistoryKeeper:
             By which the stated sigmas of the stars were multiplied.
         """
         if self._last is not None:
-            self._rows.append(_row(*self._last))
+            self._rows.append(self._last)
         self._end_block()
         self._add_turns()
         joined = self._joined()
-        nothing = (np.empty((0, 2)), np.empty((0, 2)), np.empty(0, bool), np.empty(0),
-                   np.empty(0, np.int64))
-        uv_raster, residual, accepted, sigma, catalog_id = (
-            np.concatenate(parts) for parts in zip(nothing, *joined.stars))
+        uv_raster, residual, accepted, sigma, catalog_id = joined.stars
         sigma = np.where(sigma == 0.0, self._sigma_px, sigma) * noise_factor
         stars = Residuals(uv_raster, residual, accepted, sigma, catalog_id)
         # In the order of `History`, what is no array at its ends.
@@ -206,21 +203,13 @@ class HistoryKeeper:
         self._kept += len(self._rows)
         self._rows = []
         if self._kept >= MOST:
-            arrays, stars = self._joined()
-            self._blocks = [_Block(tuple(part[::2] for part in arrays), stars[::2])]
+            self._blocks = [self._joined().thinned()]
             self._every *= 2
-            self._kept = len(stars[::2])
+            self._kept = len(self._blocks[0].arrays[0])
 
     def _joined(self) -> _Block:
         blocks = [_block([], self._pitch_mm), *self._blocks]
-        return _Block(tuple(map(np.concatenate, zip(*(each.arrays for each in blocks)))),
-                      [stars for each in blocks for stars in each.stars])
-
-
-def _row(frame: FrameResult, stated: Array) -> _Row:
-    return _Row(frame.stamp_ns, frame.belief, frame.nis, frame.turn,
-                (frame.uv_raster.copy(), frame.residual.copy(), frame.accepted.copy(),
-                 stated.copy(), frame.catalog_id.copy()))
+        return _Block(*(tuple(map(np.concatenate, zip(*parts))) for parts in zip(*blocks)))
 
 
 def _block(rows: list[_Row], pitch_mm: float) -> _Block:
@@ -228,13 +217,22 @@ def _block(rows: list[_Row], pitch_mm: float) -> _Block:
         return _Block((
             np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 7)),
             np.empty((0, N_STATES)), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64),
-            np.empty((0, 3)), np.empty(0, np.int64)), [])
-    belief = Belief.stacked([row.belief for row in rows])
+            np.empty((0, 3)), np.empty(0, np.int64)),
+            (np.empty((0, 2)), np.empty((0, 2)), np.empty(0, bool), np.empty(0),
+             np.empty(0, np.int64)))
+    frames = [row.frame for row in rows]
+    belief = Belief.stacked([frame.belief for frame in frames])
     estimate, root = belief.estimate, belief.state_root
+    seen = np.array([len(row.stated) for row in rows])
+    accepted = np.concatenate([frame.accepted for frame in frames])
+    used = np.diff(np.concatenate(([0], np.cumsum(accepted)))[np.cumsum([0, *seen])])
     return _Block((
-        np.array([row.stamp_ns for row in rows]), estimate.bias, estimate.C_sg,
+        np.array([frame.stamp_ns for frame in frames]), estimate.bias, estimate.C_sg,
         estimate.intrinsics, kalman.sigma_of(root),
         equivalent_sigma(root, estimate.intrinsics, pitch_mm),
-        np.array([row.nis for row in rows]),
-        np.array([row.stars[2].sum() for row in rows]), np.array([row.turn for row in rows]),
-        np.array([len(row.stars[0]) for row in rows])), [row.stars for row in rows])
+        np.array([frame.nis for frame in frames]), used,
+        np.array([frame.turn for frame in frames]), seen),
+        (np.concatenate([frame.uv_raster for frame in frames]),
+         np.concatenate([frame.residual for frame in frames]), accepted,
+         np.concatenate([row.stated for row in rows]),
+         np.concatenate([frame.catalog_id for frame in frames])))

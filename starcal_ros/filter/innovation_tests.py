@@ -118,9 +118,10 @@ class InnovationTests:
         if self._window[FRAMES] < WINDOW:
             return False
         self._windows += 1
-        for name, deviation in (
-                ('turn', _beyond(self._window[TURN], 3 * self._window[FRAMES])),
-                ('rest', _beyond(self._window[REST] / self._gated, self._window[FREEDOM]))):
+        deviations = _beyond(
+            self._window[[TURN, REST]] / (1.0, self._gated),
+            np.array([3.0 * self._window[FRAMES], self._window[FREEDOM]]))
+        for name, deviation in zip(('turn', 'rest'), deviations.tolist()):
             if abs(deviation) > abs(self._worst[name]):
                 self._worst[name] = deviation
         self._window[:] = 0.0
@@ -168,9 +169,9 @@ class InnovationTests:
         for name, bins in self._bins.items():
             which = np.flatnonzero(bins.number >= _LEAST_OF_BIN)
             if len(which):
-                ratio = bins.squares[which] / (2.0 * bins.number[which] * self._gated)
-                deviation = np.array([_beyond(2 * count * each, 2 * count, SCATTER)
-                                      for count, each in zip(bins.number[which].tolist(), ratio)])
+                freedom = 2.0 * bins.number[which]
+                ratio = bins.squares[which] / (freedom * self._gated)
+                deviation = _beyond(freedom * ratio, freedom, SCATTER)
                 worst = int(np.argmax(np.abs(deviation)))
                 far = normal_beyond(ALARM / 2.0 / len(which))
                 yield Statistic(
@@ -247,10 +248,10 @@ def _magnitude_name(kind: int) -> str:
     return f'{low[kind]} to {high[kind]}'
 
 
-def _beyond(value: float, freedom: int, margin: float = MARGIN) -> float:
-    """Return the deviate of a chi-square from its margin, 0 inside."""
-    return max(_deviate(value / margin, freedom), 0.0) + min(
-        _deviate(value * margin, freedom), 0.0)
+def _beyond(value: Array, freedom: Array, margin: float = MARGIN) -> Array:
+    """Return the deviates of chi-square numbers from their margin, 0 inside."""
+    return np.asarray(np.maximum(_deviate(value / margin, freedom), 0.0) + np.minimum(
+        _deviate(value * margin, freedom), 0.0))
 
 
 def _band(far: float, freedom: int) -> tuple[float, float]:
@@ -260,10 +261,10 @@ def _band(far: float, freedom: int) -> tuple[float, float]:
     return float(max(low, 0.0) / MARGIN), float(high * MARGIN)
 
 
-def _deviate(value: float, freedom: int) -> float:
-    """Return the normal deviate that is as probable as a chi-square (Wilson and Hilferty 1931)."""
+def _deviate(value: Array, freedom: Array) -> Array:
+    """Return normal deviates as probable as chi-square numbers (Wilson and Hilferty 1931)."""
     part = 2.0 / (9.0 * freedom)
-    return float((np.cbrt(max(value, 0.0) / freedom) - 1.0 + part) / np.sqrt(part))
+    return np.asarray((np.cbrt(np.maximum(value, 0.0) / freedom) - 1.0 + part) / np.sqrt(part))
 
 
 def gated_nis(gate_probability: float) -> float:

@@ -29,7 +29,7 @@ from starcal_ros.filter.hypotheses import (CELL, DRIFTS, KM_S, LENS_TERMS, MAGNI
                                            MIDDLE_MAGNITUDE, MISALIGNMENTS, PHASE_U, PHASE_V,
                                            SCALE_FACTORS, TIME, VELOCITY, hourly)
 from starcal_ros.filter.reference import Carried, Corrected, TurnFound
-from starcal_ros.filter.responses import WIDTH
+from starcal_ros.filter.responses import TOLD, UNTOLD, WIDTH, Fit
 from starcal_ros.filter.states import LENS, SCALE
 from starcal_ros.filter.stretch import ready
 
@@ -109,8 +109,9 @@ def _orthonormalized(C: Array, out: Array) -> None:
 @_jit
 def _triangularized(A: Array) -> None:
     """Leave R of A = Q R in the upper triangle of A, by Householder reflections."""
+    # Over whole rows, also where they are done with: of one length, which is faster.
     rows, n = A.shape
-    w = np.empty(n)
+    v, w = np.empty(rows), np.empty(n)
     for j in range(n):
         square = 0.0
         for i in range(j + 1, rows):
@@ -120,23 +121,24 @@ def _triangularized(A: Array) -> None:
         alpha = A[j, j]
         beta = -np.copysign(np.sqrt(alpha * alpha + square), alpha)
         tau, inverse = (beta - alpha) / beta, 1.0 / (alpha - beta)
-        A[j, j] = beta
-        for k in range(j + 1, n):
-            w[k] = A[j, k]
+        first = A[j]
+        for k in range(n):
+            w[k] = first[k]
         for i in range(j + 1, rows):
-            v = A[i, j] * inverse
-            A[i, j] = v
-            if v != 0.0:
-                for k in range(j + 1, n):
-                    w[k] += v * A[i, k]
-        for k in range(j + 1, n):
+            v[i] = factor = A[i, j] * inverse
+            row = A[i]
+            for k in range(n):
+                w[k] += factor * row[k]
+        for k in range(j + 1):
+            w[k] = 0.0
+        for k in range(n):
             w[k] *= tau
-            A[j, k] -= w[k]
+            first[k] -= w[k]
+        first[j] = beta
         for i in range(j + 1, rows):
-            v = A[i, j]
-            if v != 0.0:
-                for k in range(j + 1, n):
-                    A[i, k] -= v * w[k]
+            factor, row = v[i], A[i]
+            for k in range(n):
+                row[k] -= factor * w[k]
 
 
 @_jit
@@ -241,7 +243,8 @@ def _compose(theta, dt, first, Delta, J):
             if s < 1e-2:                        # the next terms are below 1e-17
                 a = 1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0)))
                 b = 0.5 - s / 24.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0 * (1.0 - s / 90.0)))
-                c = (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0 * (1.0 - s / 110.0)))) / 6.0
+                c = 1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0 * (1.0 - s / 110.0)))
+                c /= 6.0
             else:
                 angle = np.sqrt(s)
                 a, b = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle)**2
@@ -925,6 +928,77 @@ def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Arra
            *map(ready, (C_si, rate_s, u_i, uv, sigma, magnitude, accepted, spread, nis, half,
                         C_sg, noise)),
            *found)
+    return found
+
+
+@_jit
+def _diagonalized(A, V):
+    """Leave the eigenvalues of a symmetric matrix (3, 3) in its diagonal; vectors in columns of V.
+
+    By Jacobi's rotations, each of which makes an element zero: the largest first, 15 at most.
+    """
+    V[:] = np.eye(3)
+    for _ in range(15):
+        i, j = 0, 1
+        if abs(A[0, 2]) > abs(A[i, j]):
+            j = 2
+        if abs(A[1, 2]) > abs(A[i, j]):
+            i, j = 1, 2
+        if not abs(A[i, j]) > 1e-17 * (abs(A[i, i]) + abs(A[j, j])):
+            break
+        k = 3 - i - j
+        t = 0.5 * (A[j, j] - A[i, i]) / A[i, j]
+        t = np.copysign(1.0, t) / (abs(t) + np.sqrt(1.0 + t * t))
+        c = 1.0 / np.sqrt(1.0 + t * t)
+        s = t * c
+        A[i, i], A[j, j] = A[i, i] - t * A[i, j], A[j, j] + t * A[i, j]
+        A[i, j] = A[j, i] = 0.0
+        a, b = c * A[k, i] - s * A[k, j], s * A[k, i] + c * A[k, j]
+        A[k, i] = A[i, k] = a
+        A[k, j] = A[j, k] = b
+        for row in range(3):
+            V[row, i], V[row, j] = (c * V[row, i] - s * V[row, j],
+                                    s * V[row, i] + c * V[row, j])
+
+
+@_jit('void(f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i8[::1], '
+      'f8[:,:,::1])')
+def _fit(s, information, largest, p, sigma, gain, freedom, root):
+    A, V, along = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for g in range(len(s)):
+        size = largest[g]
+        for i in range(3):
+            for j in range(3):
+                A[i, j] = information[g, i, j] * size[i] * size[j]
+        _diagonalized(A, V)
+        gain[g], freedom[g] = 0.0, 0
+        for j in range(3):
+            along[j] = 0.0
+            if A[j, j] > TOLD:
+                for i in range(3):
+                    along[j] += V[i, j] * s[g, i] * size[i]
+                along[j] /= np.sqrt(A[j, j])
+                gain[g] += along[j] * along[j]
+                freedom[g] += 1
+        for i in range(3):
+            p[g, i], square, untold = 0.0, 0.0, 0.0
+            for j in range(3):
+                root[g, i, j] = 0.0
+                if A[j, j] > TOLD:
+                    root[g, i, j] = size[i] * V[i, j] / np.sqrt(A[j, j])
+                    p[g, i] += root[g, i, j] * along[j]
+                    square += root[g, i, j] * root[g, i, j]
+                else:
+                    untold += V[i, j] * V[i, j]
+            sigma[g, i] = np.sqrt(square) if untold < UNTOLD and size[i] > 0.0 else np.inf
+
+
+def fit(s: Array, information: Array, largest: Array) -> Fit:
+    """Do as `responses.fitted`."""
+    n = len(s)
+    found = Fit(np.empty((n, WIDTH)), np.empty((n, WIDTH)), np.empty(n), np.empty(n, np.int64),
+                np.empty((n, WIDTH, WIDTH)))
+    _fit(*map(ready, (s, information, largest)), *found)
     return found
 
 

@@ -265,7 +265,7 @@ class ModelTests:
         """
         if not self._changes.due(stamp_ns):
             return None
-        found, fit = None, self._responses.fit()
+        found, fit = None, self._fit()
         seldom = not self.changes or stamp_ns > self.changes[-1].found_ns + SELDOM_NS
         if wanted and seldom:
             noise_as_stated = all(
@@ -292,7 +292,7 @@ class ModelTests:
         tests = self._tests[run]
         if tests.frames < LEAST:
             return ()
-        fit = self._responses.fit(run)
+        fit = self._fit(run)
         found = (*tests.statistics(), *(
             each.statistic(fit, tests.frames) for each in self._effects(run, fit)))
         if np.isfinite(self._by_noise[run]):
@@ -306,7 +306,7 @@ class ModelTests:
 
     def size(self, effect: int) -> float:
         """Return the largest number of the size of an effect of the bank that fits best."""
-        return float(np.max(np.abs(self._responses.fit(next(iter(self._tests))).p[effect])))
+        return float(np.max(np.abs(self._fit(next(iter(self._tests))).p[effect])))
 
     def explained(self) -> float:
         """Return by how much the best effect raises twice the log likelihood beyond chance."""
@@ -323,17 +323,22 @@ class ModelTests:
 
         In half of all runs that are like this one so far; infinite where it can not be told.
         """
-        fit = self._responses.fit(next(iter(self._tests)))
+        fit = self._fit(next(iter(self._tests)))
         for effect in told(np.zeros(len(fit.gain)), self._changes.begun)[STEADY]:
             yield effect, effect.limit(fit, effect.place)
 
     def step_limits(self, ages_s: Sequence[float]) -> Iterator[tuple[Effect, Array]]:
         """Yield each step and the sizes, (ages, numbers), from which on it is found by an age."""
-        fit = self._responses.fit(next(iter(self._tests)))
+        fit = self._fit(next(iter(self._tests)))
         for state, effect in enumerate(
                 told(np.zeros(len(fit.gain)), self._changes.begun)[STEPS]):
             places = [self._changes.place(state, age_s) for age_s in ages_s]
             yield effect, np.stack([effect.limit(fit, place) for place in places])
+
+    def _fit(self, run: tuple[int, ...] = ()) -> Fit:
+        """Return the sizes of the effects that fit best in one run."""
+        responses = self._responses
+        return arithmetic.fit(responses.s[run], responses.information[run], responses.largest)
 
     def _effects(self, run: tuple[int, ...], fit: Fit) -> Iterator[Weighed]:
         return weighed(self._responses.E[run].reshape(self._n, -1, WIDTH), self._root[run], fit,

@@ -8,7 +8,7 @@ from collections import deque
 
 import numpy as np
 
-from starcal_ros.core.arrays import Array
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
 
 REPROJECTION_S = 600.0
@@ -21,10 +21,10 @@ class Reprojection:
     def __init__(self) -> None:
         self._recent: deque[tuple[int, Array, int]] = deque()
 
-    def add(self, stamp_ns: int, squares: Array, used: int) -> None:
-        """Know of a frame: the sums of its squared residuals, (2,) [px^2], of so many stars."""
-        self._recent.append((stamp_ns, squares, used))
-        while self._recent[0][0] < stamp_ns - REPROJECTION_S / NS:
+    def add(self, stamp_ns: Ints, squares: Array, used: Ints) -> None:
+        """Know of frames: the sums of their squared residuals, (m, 2) [px^2], of so many stars."""
+        self._recent.extend(zip(stamp_ns.tolist(), squares, used.tolist()))
+        while self._recent[0][0] < stamp_ns[-1] - REPROJECTION_S / NS:
             self._recent.popleft()
 
     @property

@@ -34,7 +34,10 @@ from starcal_ros.core.kalman import Evidence
 WIDTH = 3
 """Numbers of an effect, at most."""
 
-_TOLD = 10.0            # information on the largest p that is thought of, for it to be told
+TOLD = 10.0
+"""Information on the largest p that is thought of, for it to be told."""
+UNTOLD = 0.5
+"""Part of a number that lies in directions that are not told, for it not to be told."""
 
 
 class Fit(NamedTuple):
@@ -87,6 +90,27 @@ def respond(said: Evidence, d: Array, judged: Mask, E: Array, s: Array, informat
     information += np.where(judged[..., None, None, None], told, 0.0)
 
 
+def fitted(s: Array, information: Array, largest: Array) -> Fit:
+    """Return the sizes that fit best, of one run.
+
+    Parameters
+    ----------
+    s, information, largest : arrays
+        See `Responses`.
+    """
+    # In units of the largest; a direction of which little is known is left out.
+    size = largest
+    values, vectors = np.linalg.eigh(information * size[:, :, None] * size[:, None, :])
+    told = values > TOLD
+    inverse = np.where(told, 1.0 / np.where(told, values, 1.0), 0.0)
+    along = np.einsum('gij,gi->gj', vectors, s * size)
+    p = size * np.einsum('gij,gj->gi', vectors, along * inverse)
+    root = size[:, :, None] * vectors * np.sqrt(inverse)[:, None, :]
+    known = np.einsum('gij,gj->gi', vectors**2, (~told).astype(float)) < UNTOLD
+    return Fit(p, np.where(known & (size > 0.0), np.linalg.norm(root, axis=-1), np.inf),
+               np.sum(along**2 * inverse, axis=-1), told.sum(axis=-1), root)
+
+
 class Responses:
     """The responses to some effects.
 
@@ -100,6 +124,8 @@ class Responses:
 
     Attributes
     ----------
+    largest : (n_effects, 3) array
+        As given.
     E : (..., n_states, 3 n_effects) array
         Response of the scaled errors.
     s : (..., n_effects, 3) array
@@ -108,7 +134,7 @@ class Responses:
     """
 
     def __init__(self, batch: tuple[int, ...], n_states: int, largest: Array) -> None:
-        self._largest = largest
+        self.largest = largest
         self.E = np.zeros((*batch, n_states, largest.size))
         self.s = np.zeros((*batch, *largest.shape))
         self.information = np.zeros((*batch, *largest.shape, WIDTH))
@@ -126,18 +152,3 @@ class Responses:
     def of(self, effect: int) -> Array:
         """Return the response to one effect, (..., n_states, 3)."""
         return self.E[..., WIDTH * effect:WIDTH * (effect + 1)]
-
-    def fit(self, run: tuple[int, ...] = ()) -> Fit:
-        """Return the sizes that fit best in one run of the batch."""
-        s, information = self.s[run], self.information[run]
-        # In units of the largest; a direction of which little is known is left out.
-        size = self._largest
-        values, vectors = np.linalg.eigh(information * size[:, :, None] * size[:, None, :])
-        told = values > _TOLD
-        inverse = np.where(told, 1.0 / np.where(told, values, 1.0), 0.0)
-        along = np.einsum('gij,gi->gj', vectors, s * size)
-        p = size * np.einsum('gij,gj->gi', vectors, along * inverse)
-        root = size[:, :, None] * vectors * np.sqrt(inverse)[:, None, :]
-        known = np.einsum('gij,gj->gi', vectors**2, (~told).astype(float)) < 0.5
-        return Fit(p, np.where(known & (size > 0.0), np.linalg.norm(root, axis=-1), np.inf),
-                   np.sum(along**2 * inverse, axis=-1), told.sum(axis=-1), root)

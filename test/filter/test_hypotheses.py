@@ -27,7 +27,7 @@ TRUTH = Truth.from_scenario(SCENARIO)
 def fitted(settings=None, spoil=None):
     """Return the calibrator, and the sizes that fit, after some minutes."""
     calibrator = calibrated(SCENARIO, SCENARIO.replace(settings or {}), spoil)
-    return calibrator, calibrator.consistency._responses.fit()
+    return calibrator, calibrator.consistency._fit()
 
 
 def moved(change):

@@ -24,7 +24,8 @@ from starcal_ros.simulation import sensors
 
 RUNS, STARS = 5, 9
 CURVATURE = Filter(TAN2018).model.curvature
-FUNCTIONS = ('advance', 'bends', 'carry', 'compose', 'correct', 'judge', 'propagate', 'tally')
+FUNCTIONS = ('advance', 'bends', 'carry', 'compose', 'correct', 'fit', 'judge', 'propagate',
+             'tally')
 OPTIONAL = {'estimator.augment.time_offset_sigma_s': 0.005,
             'estimator.augment.gyro_matrix_sigma_ppm': 500.0}
 
@@ -133,6 +134,31 @@ def test_the_tests_of_the_model_are_those_of_the_reference(m):
     for left, right in zip(parts[0][:3], parts[1][:3]):
         np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-9 * np.abs(right).max())
     same(parts[0][-1], parts[1][-1])
+
+
+def test_sizes_that_fit_are_those_of_the_reference():
+    rng = np.random.default_rng(3)
+    largest = np.tile([[1e3, 1e3, 1e3], [1e-4, 1e5, 1.0], [10.0, 10.0, 0.0], [5.0, 0.0, 0.0]],
+                      (5, 1))
+    A = rng.normal(size=(20, 3, 6)) / np.maximum(largest, 1e-12)[..., None] * 10.0
+    A[largest == 0.0] = 0.0
+    A[4:8, :, 1:] *= 1e-9                   # one direction is told alone
+    A[8:12] *= 1e-9                         # or none
+    A[12:16, 1] = 0.3 * A[12:16, 0] * largest[12:16, :1] / np.maximum(largest[12:16, 1:2], 1e-12)
+    A[largest == 0.0] = 0.0
+    A[17] = np.diag([20.0, 20.0, 20.0])[:, [0, 1, 2, 0, 1, 2]] / largest[17, :, None]
+    information = A @ np.swapaxes(A, -1, -2)
+    s = (information @ (largest * rng.normal(size=(20, 3)))[..., None])[..., 0]
+    found, expected = (part.fit(s, information, largest) for part in (kernel, reference))
+    np.testing.assert_array_equal(found.freedom, expected.freedom)
+    assert set(found.freedom) == {0, 1, 2, 3}
+    for name in ('p', 'sigma', 'gain'):
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.max(
+            np.abs(theirs[np.isfinite(theirs)])) if name == 'gain' else 0.0)
+    covariance, theirs = (root.root @ np.swapaxes(root.root, -1, -2) for root in (found, expected))
+    scale = largest[:, :, None] * largest[:, None, :] + 1e-300
+    np.testing.assert_allclose(covariance / scale, theirs / scale, atol=1e-9)
 
 
 def test_the_bound_of_what_a_frame_leaves_out_is_that_of_the_reference():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from starcal_ros.core import kalman
-from starcal_ros.filter.responses import Responses, respond
+from starcal_ros.filter.responses import Responses, fitted, respond
 
 N, M, FRAMES = 4, 3, 30
 
@@ -23,6 +23,11 @@ def linear(seed=1):
 def meet(responses, said, d, judged):
     """Take a frame in."""
     respond(said, d, np.asarray(judged), responses.E, responses.s, responses.information)
+
+
+def fit_of(responses, run=()):
+    """Return the sizes that fit best in a run."""
+    return fitted(responses.s[run], responses.information[run], responses.largest)
 
 
 def run(p, seed=1, begin=0, judged=lambda k: True, noise=True, p_sigma=1e3):
@@ -65,7 +70,7 @@ def run(p, seed=1, begin=0, judged=lambda k: True, noise=True, p_sigma=1e3):
 def test_fit_is_the_estimate_of_the_filter_with_the_effect_as_a_state(begin):
     p = np.array([0.7, -0.4, 1.1])
     responses, error, whole, _ = run(p, begin=begin)
-    fit = responses.fit()
+    fit = fit_of(responses)
     covariance = whole @ whole.T
     np.testing.assert_allclose(fit.p[0], error[N:], rtol=1e-4)
     np.testing.assert_allclose(fit.root[0] @ fit.root[0].T, covariance[N:, N:], rtol=1e-4,
@@ -78,7 +83,7 @@ def test_response_and_size_make_of_one_estimate_the_other():
     """Friedland: x of the filter with p is that without it less E p; so are the covariances."""
     p = np.array([0.7, -0.4, 1.1])
     responses, error, whole, _ = run(p)
-    fit = responses.fit()
+    fit = fit_of(responses)
     np.testing.assert_allclose(responses.of(0) @ fit.p[0], error[:N], rtol=1e-4, atol=1e-6)
     root = responses.of(0) @ fit.root[0]
     Phi, H, *_ = linear()
@@ -96,11 +101,11 @@ def test_without_noise_the_size_is_exact_and_the_response_is_the_error():
     responses, _, _, error = run(p, noise=False, seed=3)
     clean, _, _, start = run(np.zeros(3), noise=False, seed=3)
     np.testing.assert_allclose(error - start, responses.of(0) @ p, rtol=1e-9)
-    assert clean.fit().gain[0] < responses.fit().gain[0]
+    assert fit_of(clean).gain[0] < fit_of(responses).gain[0]
 
 
 def test_gain_of_a_right_model_is_chi_square():
-    gains = np.array([run(np.zeros(3), seed=seed)[0].fit().gain[0] for seed in range(200)])
+    gains = np.array([fit_of(run(np.zeros(3), seed=seed)[0]).gain[0] for seed in range(200)])
     # run() begins at a true state drawn from the prior, so nothing is wrong.
     assert gains.mean() == pytest.approx(3.0, abs=4 * np.sqrt(6 / 200))
     assert gains.var() == pytest.approx(6.0, rel=0.6)
@@ -111,13 +116,13 @@ def test_frames_that_are_not_judged_move_the_response_alone():
     judged, *_ = run(p)
     half, *_ = run(p, judged=lambda k: k >= 15)
     np.testing.assert_array_equal(judged.E, half.E)
-    assert half.fit().gain[0] < judged.fit().gain[0]
-    assert (half.fit().sigma > judged.fit().sigma).all()
+    assert fit_of(half).gain[0] < fit_of(judged).gain[0]
+    assert (fit_of(half).sigma > fit_of(judged).sigma).all()
 
 
 def test_what_can_not_be_told_has_no_size():
     responses = Responses((), N, np.array([[1.0, 1.0, 1.0], [5.0, 0.0, 0.0]]))
-    fit = responses.fit()
+    fit = fit_of(responses)
     assert (fit.freedom == 0).all() and (fit.gain == 0.0).all() and np.isinf(fit.sigma).all()
     assert (fit.p == 0.0).all()
 
@@ -146,8 +151,8 @@ def test_effects_of_fewer_numbers_and_batch_axes_are_each_for_itself():
                  d_both[:, 3 * run_:3 * run_ + 3], True)
         root = after
     for run_, one in enumerate(alone):
-        fit, single = many.fit((run_,)), one.fit()
+        fit, single = fit_of(many, (run_,)), fit_of(one)
         np.testing.assert_allclose(fit.p[run_], single.p[0], rtol=1e-9)
         np.testing.assert_allclose(fit.gain[run_], single.gain[0], rtol=1e-9)
-    assert many.fit((0,)).freedom.tolist() == [1, 3]
-    assert np.isinf(many.fit((0,)).sigma[0, 1:]).all()
+    assert fit_of(many, (0,)).freedom.tolist() == [1, 3]
+    assert np.isinf(fit_of(many, (0,)).sigma[0, 1:]).all()
