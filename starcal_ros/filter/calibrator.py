@@ -257,16 +257,15 @@ class Calibrator:
         usable = np.isfinite(prepared.stars.sigma[rows])
         found.residual[~usable] = found.chi2[~usable] = np.nan
         stamps, results = frames.stamp_ns[k:k + n], []
-        for row, stamp_ns in enumerate(stamps.tolist()):
-            stars = slice(first[row], first[row + 1])
-            own = slice(rows.start + stars.start, rows.start + stars.stop)
-            after = Belief(belief.nominal.moved(
-                found.C_gi[row], found.bias[row], found.C_sg[row], found.intrinsics[row],
-                prepared.gyro.reading[k + row]), belief.error, found.root[row])
+        uv_raster, catalog_id, bounds = frames.uv_raster[rows], frames.catalog_id[rows], first.tolist()
+        for stamp_ns, begin, end, nis, turn, root, *values in zip(
+                stamps.tolist(), bounds, bounds[1:], found.nis.tolist(), found.turn, found.root,
+                found.C_gi, found.bias, found.C_sg, found.intrinsics, prepared.gyro.reading[k:]):
+            after = Belief(belief.nominal.moved(*values), belief.error, root)
             results.append(FrameResult(
-                stamp_ns, after, frames.uv_raster[own], found.residual[stars], found.chi2[stars],
-                found.accepted[stars], frames.catalog_id[own], float(found.nis[row]),
-                found.turn[row], True, track))
+                stamp_ns, after, uv_raster[begin:end], found.residual[begin:end],
+                found.chi2[begin:end], found.accepted[begin:end], catalog_id[begin:end], nis, turn,
+                True, track))
         self._reprojection.add(stamps, found.squares, found.used)
         self.stamp_ns = stamp_ns
         self._lock.hold()

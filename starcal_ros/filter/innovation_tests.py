@@ -34,6 +34,7 @@ no margin is given to what biases it: mean, correlation, displaced stars.
 from __future__ import annotations
 
 from collections.abc import Iterator
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -217,14 +218,14 @@ class _Stars:
 
     def worst(self) -> tuple[float, int]:
         """Return the sum that is furthest off, as a normal deviate, and of how many stars."""
-        often = self.frames >= _LEAST
-        if not often.any():
+        often = np.flatnonzero(self.frames >= _LEAST)
+        if not len(often):
             return 0.0, 0
         root = np.sqrt(self.frames[often])[:, None]
         sums = self.sums[often]
-        beyond = np.maximum(np.abs(sums) / root - DISPLACED * root, 0.0)
-        worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        return float(np.copysign(beyond[worst], sums[worst])), int(often.sum())
+        beyond = np.maximum(np.abs(sums) / root - DISPLACED * root, 0.0).ravel()
+        worst = int(beyond.argmax())
+        return math.copysign(beyond[worst], sums.flat[worst]), len(often)
 
 
 class _Bins(NamedTuple):

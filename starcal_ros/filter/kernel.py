@@ -53,8 +53,8 @@ _PLACE = np.array([*_DENSE, *(WIDTH * (_CELL + cell) + column
                               for column in range(2) for cell in range(_N_CELLS))])
 _N_DENSE = len(_DENSE)
 _OWN = _PLACE - _PLACE % WIDTH
-_FIRST, _SECOND = (part.copy() for part in np.nonzero(
-    _OWN[:_N_DENSE, None] == _OWN[:_N_DENSE]))
+_FIRST, _SECOND = (part.copy() for part in np.nonzero(np.tril(
+    _OWN[:_N_DENSE, None] == _OWN[:_N_DENSE])))
 
 
 # Rotations, as in `core.rotation`
@@ -777,7 +777,7 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
     d, along = np.empty((rows, _N_DENSE)), np.empty((rows, 2))
     N, v = np.empty((3, 3)), np.empty(3)
     sized, paired, crossed = np.empty(columns), np.empty((WIDTH, columns)), np.empty((wide, WIDTH))
-    squares = np.empty((3, _N_CELLS))
+    squares, pairs = np.empty((3, _N_CELLS)), np.empty(len(_FIRST))
     for r in range(runs):
         Hr, zr = H[r], z[r]
         used = 0
@@ -795,10 +795,10 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
             w = int((uv[r, star, 1] / half[1] + 1.0) * (0.5 * CELLS))
             cell[r, star] = CELLS * min(max(w, 0), CELLS - 1) + min(max(x, 0), CELLS - 1)
         _direct(Hr, C_si[r], rate_s[r], u_i[r], uv[r], magnitude[r], half, d, along)
-        # The products of [M H z d] with D = [H z d cells], and from them PD, D' S^-1 D and K D
+        # The products of [M H z] with D = [H z d cells], and from them PD, [H z]' S^-1 D and K D
         at = m + 1                                              # where d begins
         width = at + _N_DENSE
-        left, W = np.empty((rows, n + width)), np.empty((rows, width))
+        left, W = np.empty((rows, n + at)), np.empty((rows, width))
         for row in range(rows):
             for j in range(m):
                 W[row, j] = Hr[row, _seen_state(j)]
@@ -807,25 +807,25 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                 W[row, at + j] = d[row, j]
             for k in range(n):
                 left[row, k] = M[r, row, k]
-            for j in range(width):
+            for j in range(at):
                 left[row, n + j] = W[row, j]
-        by_cell = np.zeros((2 * _N_CELLS, n + width))
+        by_cell = np.zeros((2 * _N_CELLS, n + at))
         for row in range(rows):
             for c in range(2):
                 factor, sums = along[row, c], by_cell[_N_CELLS * c + cell[r, row // 2]]
-                for k in range(n + width):
+                for k in range(n + at):
                     sums[k] += factor * left[row, k]
-        by_W, products = np.empty((n + width, width)), np.empty((n + width, at + wide))
+        by_W, products = np.empty((n + at, width)), np.empty((n + at, at + wide))
         _multiplied(left.T, W, by_W)
-        for k in range(n + width):
+        for k in range(n + at):
             for j in range(width):
                 products[k, j] = by_W[k, j]
             for c in range(2 * _N_CELLS):
                 products[k, width + c] = by_cell[c, k]
-        PD, S = products[:n], np.empty((width, at + wide))
+        PD, S = products[:n], np.empty((at, at + wide))
         _solved(L[r], PD)
-        _multiplied(PD[:, :width].T, PD, S)
-        for i in range(width):
+        _multiplied(PD[:, :at].T, PD, S)
+        for i in range(at):
             for j in range(at + wide):
                 S[i, j] = products[n + i, j] - S[i, j]
         K = np.empty((n, at + wide))
@@ -884,11 +884,20 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                 for b in range(WIDTH):
                     information[r, effect, b, a] += crossed[c, b]
                     information[r, effect, a, b] += crossed[c, b]
-            # d' S^-1 d
+            # d' S^-1 d, of the columns of one effect
+            pairs[:] = 0.0
+            for row in range(rows):
+                for q in range(len(_FIRST)):
+                    pairs[q] += d[row, _FIRST[q]] * d[row, _SECOND[q]]
+            for k in range(n):
+                for q in range(len(_FIRST)):
+                    pairs[q] -= PD[k, at + _FIRST[q]] * PD[k, at + _SECOND[q]]
             for q in range(len(_FIRST)):
                 c, b = _PLACE[_FIRST[q]], _PLACE[_SECOND[q]]
-                information[r, c // WIDTH, c % WIDTH, b % WIDTH] += S[at + _FIRST[q],
-                                                                      at + _SECOND[q]]
+                own = information[r, c // WIDTH]
+                own[c % WIDTH, b % WIDTH] += pairs[q]
+                if b < c:
+                    own[b % WIDTH, c % WIDTH] += pairs[q]
             squares[:] = 0.0
             for k in range(n):
                 u, v_ = PD[k, width:width + _N_CELLS], PD[k, width + _N_CELLS:]

@@ -140,13 +140,15 @@ def cut(gyro: GyroSamples, cuts_ns: Ints, period_ns: float) -> Pieces:
     start, end = ends[:-1], ends[1:]
     sample = np.searchsorted(stamps, end)           # the first reading that ends here or later
     silent = end <= begins[sample]
-    before = np.maximum(sample - 1, 0)
-    rate = np.where(silent[:, None], 0.5 * (gyro.rate[before] + gyro.rate[sample]),
-                    gyro.rate[sample])
-    # Before the very first reading a silence has an end alone, from which it is counted back.
-    known = np.where(sample > 0, stamps[before], begins[sample])
-    gap_turn = np.where(
-        silent, 0.5 * np.abs(((end - known) * NS)**2 - ((start - known) * NS)**2), 0.0)
+    rate, gap_turn = np.take(gyro.rate, sample, axis=0), np.zeros(len(end))
+    if silent.any():
+        after = sample[silent]
+        before = np.maximum(after - 1, 0)
+        rate[silent] = 0.5 * (gyro.rate[before] + gyro.rate[after])
+        # Before the very first reading a silence has an end alone, from which it is counted back.
+        known = np.where(after > 0, stamps[before], begins[after])
+        gap_turn[silent] = 0.5 * np.abs(((end[silent] - known) * NS)**2
+                                        - ((start[silent] - known) * NS)**2)
     return Pieces(end, (end - start) * NS, rate, gap_turn)
 
 
@@ -182,8 +184,8 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
     last = np.searchsorted(gyro.stamp_ns, cuts_ns[1:])
     covered_ns = _covered_ns(gyro.stamp_ns, period_ns)[last]
     share = 1.0 - (gyro.stamp_ns[last] - cuts_ns[1:]) / covered_ns
-    interval = np.searchsorted(cuts_ns, pieces.end_ns) - 1
-    first = np.searchsorted(interval, np.arange(n + 1))
+    first = np.searchsorted(pieces.end_ns, cuts_ns, side='right')
+    interval = np.repeat(np.arange(n), np.diff(first))
     theta = (pieces.rate - bias) @ gain.T * pieces.dt[:, None]
     Delta, J = (compose or composed)(theta, pieces.dt, first, with_matrix)
     return Preintegrated(Delta, J, np.diff(cuts_ns) * NS,
@@ -192,8 +194,8 @@ def preintegrate(gyro: GyroSamples, cuts_ns: Ints, bias: Array, period_ns: float
                          np.asarray(covered_ns * NS, np.float64),
                          _means(pieces, interval, np.diff(cuts_ns) * NS),
                          np.broadcast_to(bias, (n, 3)), np.broadcast_to(gain, (n, 3, 3)),
-                         np.bincount(interval, np.linalg.norm(theta, axis=-1), n).astype(
-                             np.float64))
+                         np.bincount(interval, np.sqrt(np.einsum('ki,ki->k', theta, theta)),
+                                     n).astype(np.float64))
 
 
 def _means(pieces: Pieces, interval: Ints, duration: Array) -> Array:
