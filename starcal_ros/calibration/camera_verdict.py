@@ -33,8 +33,8 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
-from starcal_ros.filter.innovation_tests import gated_nis
-from starcal_ros.filter.verdict import INCONSISTENT, NOT_YET
+from starcal_ros.core.statistic import gated_nis
+from starcal_ros.core.verdict_words import INCONSISTENT, NOT_YET
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.measurements.star_directions import StarDirections
 

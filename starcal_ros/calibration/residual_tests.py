@@ -56,7 +56,7 @@ from starcal_ros.core.camera import Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.distributions import chi2_ppf, f_isf
 from starcal_ros.core.statistic import ALARM, Statistic
-from starcal_ros.filter.innovation_tests import MARGIN
+from starcal_ros.core.statistic import MARGIN
 
 REJECTED = 0.3
 """Share of the stars that may be rejected."""

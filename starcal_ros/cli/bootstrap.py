@@ -40,9 +40,10 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out) if options.out else None
     outputs.claim([out], [options.bag, options.config], options.overwrite)
     from starcal_ros import report
+    from starcal_ros.core import verdict_words
     from starcal_ros.filter import verdict
     from starcal_ros.recording import reader
-    from starcal_ros.results import result
+    from starcal_ros.results import document, result
     from starcal_ros.results.attached_truth import attached_truth
     try:
         from starcal_ros.recording.measured_images import ImageMeter, as_measured
@@ -68,11 +69,11 @@ def run(options: argparse.Namespace) -> int:
     show(report.chain(outcome['steps'], truth, f'Bootstrap of {options.bag}'))
     stars = chain.frames.catalog_id
     show(f'{(stars > 0).sum()} of {len(stars)} spots identified. {report.summary(outcome)}')
-    if outcome['verdict'] == verdict.INCONSISTENT:
+    if outcome['verdict'] == verdict_words.INCONSISTENT:
         show(report.table(report.rows(outcome, truth), 'The 16 states'))
     judged = verdict.of(chain.calibrator, chain.progress)
     show(f'Verdict: {report.symbols(judged.summary)}')
     if out is not None:
-        result.write_json(out, outcome)
+        document.write_json(out, outcome)
     show_json(outcome)
     return STATUS[outcome['verdict']]

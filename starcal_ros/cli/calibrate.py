@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from starcal_ros.results import export, result
+    from starcal_ros.results import export
     scenario = arguments.scenario_of(options.bag, options, ('estimator',))
     folder = Path(options.export) if options.export else None
     if folder is not None:
@@ -64,13 +64,13 @@ def run(options: argparse.Namespace) -> int:
          *([folder / name for name in export.NAMES] if folder else [])],
         [options.bag, options.config, *_saved(scenario).folders()], options.overwrite)
     outputs.check_reports(options)
-    calibrator, outcome = calibrate_recording(
+    _, outcome = calibrate_recording(
         options.bag, scenario, Path(options.out),
         Path(options.figure) if options.figure else None,
         Reports(options.report, options.light_report, options.line), folder,
         arguments.topics(options), options.adopt, checked=not options.no_check)
     show_json(outcome)
-    return STATUS[result.word(calibrator)]
+    return STATUS[outcome['verdict']]
 
 
 class Reports(NamedTuple):
@@ -95,14 +95,8 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
                         choice: TopicChoice = TopicChoice(), adopt: bool = False,
                         checked: bool = True) -> tuple[Calibrator, dict[str, Any]]:
     """Calibrate a recording, write the result and show it; return the final state and it."""
-    from starcal_ros import report
-    from starcal_ros.filter import explanations, verdict
-    from starcal_ros.filter.noise_levels import said_aloud
-    from starcal_ros.filter.offline import calibrate_source
-    from starcal_ros.filter.progress import Progress
     from starcal_ros.recording.reader import CONFIG_ATTACHMENT
-    from starcal_ros.results import export, initial, result
-    from starcal_ros.results.attached_truth import attached_truth
+    from starcal_ros.results import initial
     recording, scenario, measured = open_recording(bag, scenario, choice)
     contradictions = list(_contradictions(
         recording.attachments.get(CONFIG_ATTACHMENT), scenario))
@@ -110,6 +104,15 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         say(f'warning: {text}')
     start = initial.initial_values(scenario, _saved(scenario))
     check = aside(lambda: check_recording(recording, start.scenario)) if checked else None
+    # Behind what is done aside: the filter takes its time to be imported.
+    from starcal_ros import report
+    from starcal_ros.core import verdict_words
+    from starcal_ros.filter import explanations, verdict
+    from starcal_ros.filter.noise_levels import said_aloud
+    from starcal_ros.filter.offline import calibrate_source
+    from starcal_ros.filter.progress import Progress
+    from starcal_ros.results import document, export, result
+    from starcal_ros.results.attached_truth import attached_truth
     with progress('calibrating') as on_progress:
         calibrator, history = calibrate_source(
             recording, start.scenario, on_progress, start.covariance)
@@ -120,7 +123,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
         contradictions += denied
     used, adopted = start.scenario, dict[str, str]()
     explained: explanations.Explanations | None = None
-    if result.word(calibrator) == verdict.INCONSISTENT:
+    if result.word(calibrator) == verdict_words.INCONSISTENT:
         with progress('explaining') as on_progress:
             explained = explanations.explain(recording, used, calibrator, start.covariance,
                                              on_progress)
@@ -140,7 +143,7 @@ def calibrate_recording(bag: str | Path, scenario: Scenario, out: Path, figure: 
                                          'began_with': start.source or 'nominal values',
                                          **adopted},
                             gained, explained)
-    result.write_json(out, outcome)
+    document.write_json(out, outcome)
     if folder is not None:
         for name, content in export.files(outcome, scenario).items():
             write_text(folder / name, content)

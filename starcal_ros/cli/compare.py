@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
 def _read(options: argparse.Namespace) -> tuple[list[StoredResult], list[str]]:
     """Return the results that are named."""
     from starcal_ros.results.read import read_result
-    from starcal_ros.results.result import CalibrationError
+    from starcal_ros.results.document import CalibrationError
     if len(options.results) < 2:
         raise ConfigError(f'{options.results[0]}: alone; needs two results or more, or '
                           '--cross-validate N for a recording')

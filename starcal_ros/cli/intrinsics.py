@@ -82,8 +82,8 @@ def run(options: argparse.Namespace) -> int:
     outcome = (_of_recording(options) if recording
                else still_images.run(options, _given(options)))
     if options.out:
-        from starcal_ros.results import result
-        result.write_json(options.out, outcome)
+        from starcal_ros.results import document
+        document.write_json(options.out, outcome)
     show_json(outcome)
     return max(STATUS[each['verdict']] for each in (outcome, *outcome.get('other_cameras', ())))
 
@@ -130,6 +130,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     from starcal_ros.recording.measured_images import ImageMeter, as_measured
     from starcal_ros.results import result
     from starcal_ros.results.attached_truth import attached_truth
+    from starcal_ros.results.document import CalibrationError
     with progress('reading') as on_progress:
         recording = reader.read(options.source, on_progress, needs_gyro=False,
                                 measure=ImageMeter(scenario), choice=arguments.topics(options))
@@ -151,7 +152,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     for text in (*notices, *method.take_notices()):
         say(f'warning: {text}')
     if estimate is None or judged is None:
-        raise result.CalibrationError(
+        raise CalibrationError(
             f'no camera from {len(frames)} frames with {len(frames.catalog_id)} stars, '
             f'{(frames.catalog_id > 0).sum()} of them identified')
     outcome = {'method': scenario.intrinsics.method, **result.camera(estimate),

@@ -61,7 +61,7 @@ def _moments(path: Path, namespace: str | None) -> list[tuple[str, bytes]]:
     from starcal_ros.live.picture import encoded
     from starcal_ros.live.recorded import moments
     from starcal_ros.results.initial import RESULT
-    from starcal_ros.results.result import CalibrationError
+    from starcal_ros.results.document import CalibrationError
     if path.suffix == '.json' or (path / RESULT).is_file():
         try:
             return [('', encoded(finished(path)))]

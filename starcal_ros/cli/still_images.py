@@ -221,7 +221,7 @@ def _drawn(options: argparse.Namespace, images: Sequence[Measured],
 def _other(source: Source, given: dict[str, Any], options: argparse.Namespace
            ) -> Calibrated | None:
     """Calibrate and show another camera of the folder; None where that is not possible."""
-    from starcal_ros.results.result import CalibrationError
+    from starcal_ros.results.document import CalibrationError
     from starcal_ros.workflows.still_images import pipeline
     for text in source.notices:
         say(f'warning: {text}')

@@ -7,11 +7,13 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
-from starcal_ros.core.distributions import chi2_isf, normal_isf
+from starcal_ros.core.distributions import chi2_isf, chi2_ppf_of_two, normal_isf
 from starcal_ros.core.utc import utc_text
 
 ALARM = 1e-5
 """Probability with which a statistic fails though the model is right."""
+MARGIN = 1.2
+"""Factor by which variances may be off: sigmas that are off by a tenth."""
 
 
 class Statistic(NamedTuple):
@@ -79,3 +81,15 @@ def chi2_beyond(probability: float, freedom: int) -> float:
 def normal_beyond(probability: float) -> float:
     """Return what a normal number exceeds with a probability."""
     return float(normal_isf(probability))
+
+
+def gated_nis(gate_probability: float) -> float:
+    """Return the mean of NIS over its degrees of freedom behind a gate of two degrees each.
+
+    The gate takes the largest of the good stars, too: the mean of a chi-square number of two
+    degrees below its quantile g is ``2 - g q / (1 - q)``, q the part above.
+    """
+    above = 1.0 - gate_probability
+    if above == 0.0:
+        return 1.0
+    return 1.0 - 0.5 * chi2_ppf_of_two(gate_probability) * above / gate_probability

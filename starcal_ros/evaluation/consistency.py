@@ -15,7 +15,7 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.distributions import chi2_ppf
-from starcal_ros.filter.innovation_tests import gated_nis
+from starcal_ros.core.statistic import gated_nis
 
 
 class Interval(NamedTuple):

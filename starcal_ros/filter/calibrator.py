@@ -257,7 +257,8 @@ class Calibrator:
         usable = np.isfinite(prepared.stars.sigma[rows])
         found.residual[~usable] = found.chi2[~usable] = np.nan
         stamps, results = frames.stamp_ns[k:k + n], []
-        uv_raster, catalog_id, bounds = frames.uv_raster[rows], frames.catalog_id[rows], first.tolist()
+        uv_raster, catalog_id = frames.uv_raster[rows], frames.catalog_id[rows]
+        bounds = first.tolist()
         for stamp_ns, begin, end, nis, turn, root, *values in zip(
                 stamps.tolist(), bounds, bounds[1:], found.nis.tolist(), found.turn, found.root,
                 found.C_gi, found.bias, found.C_sg, found.intrinsics, prepared.gyro.reading[k:]):

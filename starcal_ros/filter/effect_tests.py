@@ -19,7 +19,8 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
 from starcal_ros.filter.changes import N_EFFECTS
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS
-from starcal_ros.filter.innovation_tests import MARGIN, cell_name
+from starcal_ros.core.statistic import MARGIN
+from starcal_ros.filter.innovation_tests import cell_name
 from starcal_ros.filter.responses import Fit
 
 HARM = 0.5

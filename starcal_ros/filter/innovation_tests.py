@@ -40,16 +40,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints
-from starcal_ros.core.distributions import chi2_ppf_of_two
-from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond, normal_beyond
+from starcal_ros.core.statistic import ALARM, MARGIN, Statistic, chi2_beyond, normal_beyond
 from starcal_ros.filter import arithmetic
 from starcal_ros.filter.frame_innovation import (ALONG, CELLS, FRAMES, FREEDOM, LAG, MAGNITUDES,
                                                  PAIRS, RATE, REST, SUMS, TURN, E, FrameInnovation)
 
 WINDOW = 120
 """Frames of a window: a minute at 2 Hz."""
-MARGIN = 1.2
-"""Factor by which the variances of turns and rest may be off: sigmas that are off by a tenth."""
 SCATTER = 1.5
 """The same factor where only the stars of one place or of one magnitude are looked at."""
 DISPLACED = 0.2
@@ -170,7 +167,7 @@ class InnovationTests:
         for name, bins in self._bins.items():
             which = np.flatnonzero(bins.number >= _LEAST_OF_BIN)
             if len(which):
-                freedom = 2.0 * bins.number[which]
+                freedom = np.asarray(2.0 * bins.number[which], np.float64)
                 ratio = bins.squares[which] / (freedom * self._gated)
                 deviation = _beyond(freedom * ratio, freedom, SCATTER)
                 worst = int(np.argmax(np.abs(deviation)))
@@ -266,15 +263,3 @@ def _deviate(value: Array, freedom: Array) -> Array:
     """Return normal deviates as probable as chi-square numbers (Wilson and Hilferty 1931)."""
     part = 2.0 / (9.0 * freedom)
     return np.asarray((np.cbrt(np.maximum(value, 0.0) / freedom) - 1.0 + part) / np.sqrt(part))
-
-
-def gated_nis(gate_probability: float) -> float:
-    """Return the mean of NIS over its degrees of freedom behind a gate of two degrees each.
-
-    The gate takes the largest of the good stars, too: the mean of a chi-square number of two
-    degrees below its quantile g is ``2 - g q / (1 - q)``, q the part above.
-    """
-    above = 1.0 - gate_probability
-    if above == 0.0:
-        return 1.0
-    return 1.0 - 0.5 * chi2_ppf_of_two(gate_probability) * above / gate_probability

@@ -203,7 +203,7 @@ def _multiplied(A: Array, B: Array, out: Array) -> None:
             a0, a1, a2, a3 = a[k], a[k + 1], a[k + 2], a[k + 3]
             b0, b1, b2, b3 = b[k], b[k + 1], b[k + 2], b[k + 3]
             w, x, y, z = B[k], B[k + 1], B[k + 2], B[k + 3]
-            for c in range(columns):                    # each read once, before anything is written
+            for c in range(columns):                # each read once, before what is written
                 wc, xc, yc, zc = w[c], x[c], y[c], z[c]
                 p[c] = (((p[c] + a0 * wc) + a1 * xc) + a2 * yc) + a3 * zc
                 q[c] = (((q[c] + b0 * wc) + b1 * xc) + b2 * yc) + b3 * zc

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints
-from starcal_ros.core.statistic import ALARM, Statistic, normal_beyond
+from starcal_ros.core.statistic import ALARM, Statistic, gated_nis, normal_beyond
 from starcal_ros.filter import arithmetic, hypotheses
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
@@ -28,8 +28,7 @@ from starcal_ros.filter.effect_tests import STEADY, STEPS, Effect, Weighed, told
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.frame_innovation import FrameInnovation
 from starcal_ros.filter.hypotheses import CHANGING, LARGEST_STEPS
-from starcal_ros.filter.innovation_tests import (NOISE_TESTS, SCATTER, WINDOW, InnovationTests,
-                                                 gated_nis)
+from starcal_ros.filter.innovation_tests import NOISE_TESTS, SCATTER, WINDOW, InnovationTests
 from starcal_ros.filter.likelihood import Likelihood
 from starcal_ros.filter.noise_levels import Scores
 from starcal_ros.filter.reference import TurnFound

@@ -23,7 +23,7 @@ from starcal_ros.config.estimator import EstimatorConfig
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR
 from starcal_ros.filter.error_state import Filter
-from starcal_ros.filter.innovation_tests import gated_nis
+from starcal_ros.core.statistic import gated_nis
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.noise_levels import (CENTROIDS, GYRO, NoiseLevel, Scores, found, scaled,
                                              sigma_factor, stated, with_levels)

@@ -39,6 +39,7 @@ import numpy as np
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.statistic import Statistic
+from starcal_ros.core.verdict_words import CONVERGED, INCONSISTENT, LOST, NOT_YET
 from starcal_ros.filter import ambiguity
 from starcal_ros.filter.advice import FRAMES, look_ahead
 from starcal_ros.filter.belief import Belief
@@ -50,7 +51,6 @@ from starcal_ros.filter.states import CALIBRATED, N_STATES, STATE_NAMES, STATE_U
 _PSI_X, _PSI_Y, _U0, _V0, _F = (STATE_NAMES.index(name)
                                 for name in ('psi_x', 'psi_y', 'u0', 'v0', 'f'))
 
-CONVERGED, NOT_YET, INCONSISTENT, LOST = 'converged', 'not yet', 'inconsistent', 'lost'
 NEVER = 'never'
 """Advice on states that nothing tells apart."""
 

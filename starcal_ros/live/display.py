@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Array
-from starcal_ros.filter import verdict
+from starcal_ros.core.verdict_words import CONVERGED, INCONSISTENT, LOST, NOT_YET
 from starcal_ros.filter.advice import advised_axis
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, UNIT
 from starcal_ros.live import facts
@@ -28,7 +28,7 @@ from starcal_ros.messages.conventions import CALIBRATED_FRAME
 from starcal_ros.messages.drawings import LINE_LIST, LINE_STRIP, SPHERE_LIST, TEXT, Drawings, Rgb
 
 ENLARGED = 500.0
-VERDICTS = ('', verdict.NOT_YET, verdict.CONVERGED, verdict.INCONSISTENT, verdict.LOST)
+VERDICTS = '', NOT_YET, CONVERGED, INCONSISTENT, LOST
 """The verdict of `values` is the place of its word here; 0 is none yet."""
 
 _NAMES = STATE_NAMES[CALIBRATED]

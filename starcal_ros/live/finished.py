@@ -12,12 +12,12 @@ import numpy as np
 from starcal_ros.core import rotation
 from starcal_ros.files.documents import load_json
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES
-from starcal_ros.filter.verdict import INCONSISTENT, LOST, NOT_YET
+from starcal_ros.core.verdict_words import INCONSISTENT, LOST, NOT_YET
 from starcal_ros.live import facts
 from starcal_ros.live.heard import Seen
 from starcal_ros.results.initial import RESULT
 from starcal_ros.results.read import read_result
-from starcal_ros.results.result import CalibrationError
+from starcal_ros.results.document import CalibrationError
 
 
 def finished(path: Path) -> Seen:

@@ -16,7 +16,8 @@ import numpy as np
 from starcal_ros.files.foreign import clean
 from starcal_ros.filter.advice import advised_axis
 from starcal_ros.filter.states import CALIBRATED
-from starcal_ros.filter.verdict import CONVERGED, time_text
+from starcal_ros.core.verdict_words import CONVERGED
+from starcal_ros.filter.verdict import time_text
 from starcal_ros.live import facts
 from starcal_ros.live.heard import Seen
 from starcal_ros.report.states import SIGMA_UNITS, short

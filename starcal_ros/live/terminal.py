@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from starcal_ros.files.foreign import clean
-from starcal_ros.filter.verdict import CONVERGED
+from starcal_ros.core.verdict_words import CONVERGED
 from starcal_ros.live import facts
 from starcal_ros.live.heard import Seen
 from starcal_ros.report.states import short

@@ -25,6 +25,7 @@ from starcal_ros.nodes.estimator_check import FirstMinutes
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
 from starcal_ros.nodes.estimator_results import Results
 from starcal_ros.results import initial, result
+from starcal_ros.results.document import CalibrationError
 from starcal_ros.results.store import CalibrationStore, StoreError
 
 _DIAGNOSTICS_S = 1.0
@@ -151,7 +152,7 @@ class Estimator(ManagedNode):
                 'saved_utc': datetime.now(timezone.utc).isoformat(timespec='seconds'),
                 'began_with': self._start.source or 'nominal values'}, self._progress)
             folder = self._archive.save(initial.files(outcome, self.scenario))
-        except (result.CalibrationError, StoreError) as error:
+        except (CalibrationError, StoreError) as error:
             return False, str(error)
         return True, f'saved as {folder}'
 

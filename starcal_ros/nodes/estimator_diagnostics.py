@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from starcal_ros.checks.check import Checked
+from starcal_ros.core import verdict_words
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
@@ -72,7 +73,7 @@ class Diagnostics:
                         f'noise_level_{level.key}_stated': level.stated}
         values['verdict'] = judged.word
         values.update({name: f'{number:.6g}' for name, number in numbers.items()})
-        bad = judged.word in (verdict.LOST, verdict.INCONSISTENT)
+        bad = judged.word in (verdict_words.LOST, verdict_words.INCONSISTENT)
         level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
         return self._status('calibration', level, judged.summary, values)
 

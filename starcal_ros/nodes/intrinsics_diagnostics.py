@@ -10,7 +10,7 @@ from rclpy.node import Node
 from starcal_ros.calibration.camera_verdict import CameraVerdict
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.camera_estimate import CameraEstimate
-from starcal_ros.filter.verdict import INCONSISTENT
+from starcal_ros.core.verdict_words import INCONSISTENT
 from starcal_ros.nodes.base.stamps import status_stamp
 
 

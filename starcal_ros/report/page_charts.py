@@ -10,7 +10,7 @@ from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.core.units import NS
-from starcal_ros.filter.verdict import INCONSISTENT
+from starcal_ros.core.verdict_words import INCONSISTENT
 from starcal_ros.report import (coverage_charts, detector_charts, projection_charts,
                                 residual_charts, statistic_charts, time_charts)
 from starcal_ros.report.calibration import Calibration, camera_of

@@ -12,7 +12,7 @@ import numpy as np
 from starcal_ros.config import parameter_file
 from starcal_ros.core.utc import utc_text
 from starcal_ros.filter.ambiguity import NAMES
-from starcal_ros.filter.verdict import INCONSISTENT
+from starcal_ros.core.verdict_words import INCONSISTENT
 from starcal_ros.report import explanations
 from starcal_ros.report.calibration import NOMINAL, Calibration
 from starcal_ros.report.markup import PageSection, items, paragraph, section, table

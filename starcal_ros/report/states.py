@@ -18,7 +18,7 @@ from starcal_ros.core.units import ARCSEC
 from starcal_ros.files.foreign import literal
 from starcal_ros.filter.history import History
 from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
-from starcal_ros.filter.verdict import INCONSISTENT
+from starcal_ros.core.verdict_words import INCONSISTENT
 
 LABELS = ('ε_x', 'ε_y', 'ε_z', 'Ψ_x', 'Ψ_y', 'Ψ_z', 'u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
 _SYMBOLS = {'phi': 'φ', 'epsilon': 'ε', 'psi': 'Ψ'}

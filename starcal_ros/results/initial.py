@@ -23,7 +23,7 @@ from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.files.documents import load_json
 from starcal_ros.filter.states import CALIBRATED, N_STATES
 from starcal_ros.results import export
-from starcal_ros.results.result import CalibrationError, dumps
+from starcal_ros.results.document import CalibrationError, dumps
 from starcal_ros.results.store import CalibrationStore
 
 RESULT, CONFIG = 'result.json', 'config.yaml'

@@ -20,7 +20,7 @@ from starcal_ros.core.camera import INTRINSICS_KEYS, Detector
 from starcal_ros.files.documents import load_json
 from starcal_ros.filter.states import CALIBRATED, EPSILON, N_STATES, UNIT
 from starcal_ros.results.initial import CONFIG, RESULT
-from starcal_ros.results.result import CalibrationError
+from starcal_ros.results.document import CalibrationError
 
 _LENS = len(INTRINSICS_KEYS)
 

@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,6 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
-from starcal_ros.files.output import write_text
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.explanations import Explanations
@@ -25,10 +22,7 @@ from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import CALIBRATED, EPSILON, LENS, PSI, UNIT
 from starcal_ros.recording.reader import Recording
 from starcal_ros.recording.recording_stream import RecordingStream
-
-
-class CalibrationError(ValueError):
-    """The messages give no calibration; the text says why."""
+from starcal_ros.results.document import CalibrationError
 
 
 def word(calibrator: Calibrator) -> str:
@@ -169,22 +163,6 @@ def no_attitude(calibrator: Calibrator) -> str:
             f'reached by them ({counts.empty_frames} without a usable star, '
             f'{counts.unusable_stars} stars unusable), {calibrator.waiting} frames waiting for '
             'gyro')
-
-
-def dumps(values: dict[str, Any]) -> str:
-    """Return a dictionary as JSON; NaN and infinity are refused."""
-    return json.dumps(values, indent=1, allow_nan=False) + '\n'
-
-
-def write_json(path: str | Path, values: dict[str, Any]) -> None:
-    """Write a dictionary as JSON; NaN and infinity are refused.
-
-    Raises
-    ------
-    OutputError
-        Where the file cannot be written.
-    """
-    write_text(path, dumps(values))
 
 
 def _named(values: Array) -> dict[str, float]:

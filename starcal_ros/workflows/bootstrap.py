@@ -39,7 +39,8 @@ from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identifier
 from starcal_ros.measurements.frame_rotations import from_gyro as _turns
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.results.result import CalibrationError, no_attitude
+from starcal_ros.results.document import CalibrationError
+from starcal_ros.results.result import no_attitude
 
 FOCAL_ERROR = 0.1
 """Part of the focal length by which the nominal one may be wrong."""

@@ -19,6 +19,7 @@ from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import CALIBRATED, STATE_NAMES, UNIT
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results import result
+from starcal_ros.results.document import CalibrationError
 from starcal_ros.results.read import StoredResult, stored
 
 LEAST_FRAMES = 40
@@ -49,7 +50,7 @@ def calibrate_parts(gyro: GyroSamples, frames: Frames, scenario: Scenario, parts
         Where a part has too few frames, or gives no attitude.
     """
     if len(frames) < parts * LEAST_FRAMES:
-        raise result.CalibrationError(
+        raise CalibrationError(
             f'{len(frames)} frames in {parts} parts: each needs {LEAST_FRAMES} at least')
     cuts = np.linspace(0, len(frames), parts + 1).astype(int)
     found = []

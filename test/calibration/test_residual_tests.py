@@ -19,7 +19,7 @@ from starcal_ros.core import camera, rotation
 from starcal_ros.core.camera import INTRINSICS_SCALE, Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
-from starcal_ros.filter.innovation_tests import gated_nis
+from starcal_ros.core.statistic import gated_nis
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 

@@ -11,7 +11,7 @@ from instruments import CONFIG, TAN2018
 from starcal_ros.cli import main
 from starcal_ros.results import comparison
 from starcal_ros.results.read import StoredResult
-from starcal_ros.results.result import CalibrationError
+from starcal_ros.results.document import CalibrationError
 from starcal_ros.simulation import sensors
 from starcal_ros.workflows.cross_validation import calibrate_parts, hardly_seen
 

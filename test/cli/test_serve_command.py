@@ -19,7 +19,7 @@ from browser import browsing  # noqa: E402
 from estimated import record_results  # noqa: E402
 from instruments import TAN2018  # noqa: E402
 from starcal_ros.cli import main  # noqa: E402
-from starcal_ros.results import result  # noqa: E402
+from starcal_ros.results import document, result  # noqa: E402
 from starcal_ros.simulation.write_recording import simulate  # noqa: E402
 
 SCENARIO = TAN2018.replace({'simulation.duration_s': 60.0})
@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
     """Return a folder with a recording of results, a result, and a recording of sensors."""
     folder = tmp_path_factory.mktemp('serve')
     calibrator = record_results(folder / 'run.mcap', SCENARIO)
-    result.write_json(folder / 'result.json', result.result(calibrator, {}))
+    document.write_json(folder / 'result.json', result.result(calibrator, {}))
     simulate(SCENARIO, folder / 'sensors.mcap')
     return folder
 

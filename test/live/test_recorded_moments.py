@@ -19,7 +19,7 @@ from starcal_ros.messages.cdr import RecordError
 from starcal_ros.messages.conventions import state_vector
 from starcal_ros.recording.writer import Writer
 from starcal_ros.results import result
-from starcal_ros.results.result import CalibrationError
+from starcal_ros.results.document import CalibrationError
 from starcal_ros.simulation.write_recording import simulate
 
 SCENARIO = TAN2018.replace({'simulation.duration_s': 30.0})

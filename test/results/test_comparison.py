@@ -16,7 +16,8 @@ from starcal_ros.filter.offline import calibrate
 from starcal_ros.filter.states import UNIT
 from starcal_ros.results import comparison
 from starcal_ros.results.read import StoredResult, read_result
-from starcal_ros.results.result import CalibrationError, dumps, result
+from starcal_ros.results.document import CalibrationError, dumps
+from starcal_ros.results.result import result
 from starcal_ros.simulation import sensors
 
 DAY_NS = 86_400 * 10**9

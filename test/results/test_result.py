@@ -16,7 +16,8 @@ from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
 from starcal_ros.filter.states import CALIBRATED, PHI, UNIT
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.results.result import CalibrationError, result, word, write_json
+from starcal_ros.results.document import CalibrationError, write_json
+from starcal_ros.results.result import result, word
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 

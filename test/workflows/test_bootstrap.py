@@ -12,7 +12,7 @@ from instruments import TAN2018
 from starcal_ros.cli import main
 from starcal_ros.config import parameter_file
 from starcal_ros.measurements.samples import Frames, GyroSamples
-from starcal_ros.results.result import CalibrationError
+from starcal_ros.results.document import CalibrationError
 from starcal_ros.simulation import sensors
 from starcal_ros.simulation.truth import Truth
 from starcal_ros.simulation.write_recording import simulate

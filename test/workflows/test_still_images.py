@@ -21,7 +21,7 @@ from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.messages.conventions import from_camera_info
-from starcal_ros.results.result import CalibrationError
+from starcal_ros.results.document import CalibrationError
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
 from starcal_ros.sky.refraction import Site

@@ -24,7 +24,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera_estimate import CameraEstimate
 from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
-from starcal_ros.filter.innovation_tests import gated_nis
+from starcal_ros.core.statistic import gated_nis
 from starcal_ros.measurements.notices import Notices
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.measurements.spot_tracker import SpotTracker

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.evaluation.tasks import complete
 from starcal_ros.filter.states import CALIBRATED, PHI
-from starcal_ros.filter.verdict import CONVERGED, INCONSISTENT, LOST
+from starcal_ros.core.verdict_words import CONVERGED, INCONSISTENT, LOST
 from starcal_ros.reproduction import wrong_models
 from starcal_ros.reproduction.outcome import Outcome
 from starcal_ros.reproduction.wrong_models import CLEAN, ROWS, WrongModel

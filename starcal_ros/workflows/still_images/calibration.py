@@ -37,7 +37,7 @@ from starcal_ros.core.lenses import PLUMB_BOB
 from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.core.lenses.phased import PhasedLens
 from starcal_ros.core.statistic import Statistic
-from starcal_ros.filter.innovation_tests import gated_nis
+from starcal_ros.core.statistic import gated_nis
 from starcal_ros.measurements.samples import Stars
 from starcal_ros.measurements.star_directions import StarDirections
 from starcal_ros.sky.refraction import Site

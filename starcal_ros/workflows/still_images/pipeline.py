@@ -23,7 +23,7 @@ from starcal_ros.config.image import CentroidConfig
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import lenses
-from starcal_ros.results.result import CalibrationError
+from starcal_ros.results.document import CalibrationError
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.sky.refraction import LOWEST_DEG, Site
 from starcal_ros.workflows.still_images import (atmosphere, calibration, clock,
