@@ -152,6 +152,11 @@ class Calibrator:
         """Number of frames that wait for a gyro sample to reach them."""
         return len(self._queue) + self._intake.waiting
 
+    @property
+    def next_frame_ns(self) -> int | None:
+        """Stamp of the frame that a gyro sample has to reach next, None where none waits."""
+        return self._queue.next_frame_ns
+
     def take_notices(self) -> list[str]:
         """Return what happened that a user should know, once."""
         return self._notices.take()

@@ -51,6 +51,11 @@ class MessageQueue:
         """Return the number of frames that wait."""
         return len(self._frames)
 
+    @property
+    def next_frame_ns(self) -> int | None:
+        """Stamp of the oldest frame that waits for the gyro, None where none does."""
+        return int(self._frames.stamp_ns[0]) if len(self._frames) else None
+
     def add(self, gyro: GyroSamples, frames: Frames) -> None:
         """Take samples and frames, each in the order of its stamps."""
         if len(gyro):

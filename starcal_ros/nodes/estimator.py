@@ -20,6 +20,7 @@ from starcal_ros.messages.conventions import GYRO_FRAME, OPTICAL_FRAME
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.managed_node import ManagedNode
+from starcal_ros.nodes.base.rhythm import BURST
 from starcal_ros.nodes.base.stamps import status_stamp
 from starcal_ros.nodes.estimator_check import FirstMinutes
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
@@ -65,8 +66,15 @@ class Estimator(ManagedNode):
         self.when_heard(own.wait_for_subscribers, own.wait_for_nodes, self._listen)
 
     def _listen(self) -> None:
-        self.listen(topics.IMU, self._on_gyro)
+        # A few readings together take hardly longer than one.
+        self.listen(topics.IMU, self._on_gyro, gather_s=BURST / self.scenario.gyro.rate_hz,
+                    hurried=self._awaits_gyro)
         self.listen(topics.CENTROIDS, self._on_frames)
+
+    def _awaits_gyro(self) -> bool:
+        """Tell whether a frame waits for a reading that may have come."""
+        frame_ns = self._calibrator.next_frame_ns
+        return frame_ns is not None and self._results.rhythm.may_have_come(frame_ns)
 
     def deactivate(self) -> None:
         """Say where the calibration stands."""

@@ -111,13 +111,16 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
             patience_s=PATIENCE_S))
         return self.outputs[-1]
 
-    def listen(self, topic: Topic, callback: Callable[[list[bytes]], None], at_once: int = BATCH
-               ) -> None:
-        """Hand over the messages of a topic in CDR, at most `at_once`, until `deactivate`."""
+    def listen(self, topic: Topic, callback: Callable[[list[bytes]], None], at_once: int = BATCH,
+               gather_s: float = 0.0, hurried: Callable[[], bool] = lambda: False) -> None:
+        """Hand over the messages of a topic in CDR, until `deactivate`.
+
+        How many at once, and how long they may wait: see `MatchedSubscription`.
+        """
         self.inputs.append(MatchedSubscription(
             self, message_type(topic.type_name), topic.name,
             self._surviving(topic.name, callback), latched=topic.latched, raw=True,
-            at_once=at_once))
+            at_once=at_once, gather_s=gather_s, hurried=hurried))
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call back again and again, until `deactivate`."""

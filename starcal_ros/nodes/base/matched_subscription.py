@@ -10,6 +10,7 @@ middleware can not match is said in words.
 from __future__ import annotations
 
 from collections.abc import Callable
+import time
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -47,6 +48,11 @@ class MatchedSubscription:
         Receive CDR bytes in place of messages.
     at_once : int
         Fewer where a message is large or takes long.
+    gather_s : float
+        After messages were taken, the next may wait so long for more: each time takes its time,
+        however many there are. Not where as many have come as are taken at once.
+    hurried : callable
+        Tells whether they may not.
 
     Attributes
     ----------
@@ -58,9 +64,11 @@ class MatchedSubscription:
 
     def __init__(self, node: Node, message_type: type, topic: str,
                  callback: Callable[[list[Any]], None], *,
-                 latched: bool = False, raw: bool = False, at_once: int = BATCH) -> None:
+                 latched: bool = False, raw: bool = False, at_once: int = BATCH,
+                 gather_s: float = 0.0, hurried: Callable[[], bool] = lambda: False) -> None:
         self._node, self._type, self._topic, self._raw = node, message_type, topic, raw
         self._callback, self._at_once = callback, at_once
+        self._gather_s, self._hurried, self._next_s = gather_s, hurried, 0.0
         self._reliability = ReliabilityPolicy.RELIABLE
         self._durability = LATCHED.durability if latched else STREAM.durability
         self.received, self.lost = 0, 0
@@ -77,6 +85,18 @@ class MatchedSubscription:
     def publishers(self) -> int:
         """Number of publishers that are matched now."""
         return self._subscription.get_publisher_count()
+
+    @property
+    def handle(self) -> Any:
+        """That of rclpy, to wait with."""
+        return self._subscription.handle
+
+    @property
+    def gathers_s(self) -> float:
+        """How long messages are left to gather from now on."""
+        if not self._gather_s or self._hurried():
+            return 0.0
+        return max(self._next_s - time.monotonic(), 0.0)
 
     def take_all(self) -> None:
         """Hand over all that waits, now; not what a publisher adds in the meantime.
@@ -120,12 +140,20 @@ class MatchedSubscription:
         """Hand over what waits, and return how much; ask the publishers for less if need be."""
         if self._outdated and not self._destroyed:
             self._recreate()
+        if self.gathers_s > 0.0:
+            return 0
         # What arrives while messages are taken does not always wake the executor once more.
-        self._hand_over(waiting := self._take_waiting(self._at_once))
+        waiting = self._take_waiting(self._at_once)
+        self._take(waiting)
         return len(waiting)
 
+    def _take(self, messages: list[Any]) -> None:
+        if 0 < len(messages) < self._at_once:
+            self._next_s = time.monotonic() + self._gather_s
+        self._hand_over(messages)
+
     def _on_message(self, message: Any) -> None:
-        self._hand_over([message, *self._take_waiting(self._at_once - 1)])
+        self._take([message, *self._take_waiting(self._at_once - 1)])
 
     def _take_waiting(self, limit: int) -> list[Any]:
         return [] if self._destroyed else _take_waiting(self._subscription, limit)

@@ -44,9 +44,9 @@ class Rhythm:
     """
 
     def __init__(self, rate_hz: float) -> None:
-        self._fastest_hz = CATCH_UP * rate_hz
+        self._rate_hz, self._fastest_hz = rate_hz, CATCH_UP * rate_hz
         self._least_s: deque[float] = deque(maxlen=_WINDOWS)    # ages
-        self._began_s = self._sent_s = 0.0
+        self._began_s = self._sent_s = self._heard_s = 0.0
         self._newest_ns = NEVER_NS
         self._level = 0.0           # messages that went out early
         self._waited_s = 0.0        # since there were none
@@ -55,7 +55,7 @@ class Rhythm:
     def heard(self, stamp_ns: Ints) -> None:
         """Take the stamps of readings that have just come, (n,), at least one."""
         now_s, newest_ns = time.monotonic(), int(stamp_ns[-1])
-        age_s = now_s - newest_ns * NS
+        age_s, self._heard_s = now_s - newest_ns * NS, now_s
         if newest_ns < self._newest_ns:         # the clock was set back
             self._least_s.clear()
         self._newest_ns = newest_ns
@@ -66,6 +66,11 @@ class Rhythm:
             self._began_s = now_s
         self._least_s[-1] = min(self._least_s[-1], age_s)
         self.real_time = bool(age_s > self._least_s[0] - _YOUNGER_S)
+
+    def may_have_come(self, stamp_ns: int) -> bool:
+        """Tell whether a reading of such a stamp, or a later one, may have come by now."""
+        passed_s = time.monotonic() - self._heard_s + 2.0 / self._rate_hz
+        return not self.real_time or stamp_ns <= self._newest_ns + passed_s / NS
 
     def spread(self, messages: Iterable[T]) -> Iterator[T]:
         """Yield each message when it may go out."""

@@ -16,9 +16,9 @@ A node may have
 * ``drained``: false while there is something to wait for though the process was asked to end, as
   what others that are ending as well still send (`ending`); it is served until then;
 * ``close()``: called once before it is destroyed, whatever ended it;
-* ``inputs``: subscriptions (`MatchedSubscription`) that the loop empties itself. The executor
-  builds a set of all that it waits for, twice a message, which takes longer than the message does;
-  so where all nodes of a process have inputs it gets a turn now and then, for the rest.
+* ``inputs``: subscriptions (`MatchedSubscription`) that the loop waits for and empties itself. The
+  executor builds a set of all that there is, twice a message, which takes longer than the message
+  does; so where all nodes of a process have inputs it gets a turn now and then, for the rest.
 
 Several nodes in one process share one thread, so a callback must not wait for what another of
 them has yet to do. Of nodes that end together, the one that was made last is closed first.
@@ -48,11 +48,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core.units import NS
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.nodes.base import command_line, ending
 
-_LOOK_S = 0.004                 # between looks at the inputs where nothing comes
-_CALLBACKS = 4                  # of the executor, between two stretches with the inputs
+LOOK_S = 0.02                   # between looks at the inputs where nothing is said to come
+_CALLBACKS = 4                  # of the executor, at most, between two stretches with the inputs
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_FAILED, STATUS_USAGE = 0, 1, 2
 
@@ -187,9 +188,52 @@ def _reason(error: Exception) -> str:
     return str(error).split(', at ')[0]
 
 
+class _Executor(SingleThreadedExecutor):
+    """Waits for inputs as well, and knows whether anything was there when it looked last.
+
+    Attributes
+    ----------
+    idle : bool
+        Whether nothing was.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.idle = False
+        self._sets: dict[int, Any] = {}         # to wait with, by the number of inputs
+
+    def wait_for_ready_callbacks(self, *args: Any, **kwargs: Any) -> Any:
+        """Do as before, and note it."""
+        self.idle = True
+        found = super().wait_for_ready_callbacks(*args, **kwargs)
+        self.idle = False
+        return found
+
+    def wait_for(self, inputs: Sequence[Any]) -> None:
+        """Wait for a message of any input that is to have one at once, at most LOOK_S."""
+        left_s = [each.gathers_s for each in inputs]
+        handles = [each.handle for each, left in zip(inputs, left_s) if left <= 0.0]
+        timeout_s = min([LOOK_S, *(left for left in left_s if left > 0.0)])
+        if not handles:                         # an empty set is an error
+            time.sleep(timeout_s)
+            return
+        context = rclpy.get_default_context().handle
+        with ExitStack() as held:
+            for handle in (*handles, context):
+                held.enter_context(handle)
+            if len(handles) not in self._sets:
+                self._sets[len(handles)] = rclpy_implementation.WaitSet(
+                    len(handles), 0, 0, 0, 0, 0, context)
+            wait_set = self._sets[len(handles)]
+            wait_set.clear_entities()
+            for handle in handles:
+                wait_set.add_subscription(handle)
+            wait_set.wait(int(timeout_s / NS))
+
+
 def _serve(make_nodes: Sequence[Callable[[], Node]], made: list[Node]) -> None:
     """Serve nodes to their end; those that are made are added to a list."""
-    executor, nodes = SingleThreadedExecutor(), []
+    executor, nodes = _Executor(), []
     with ExitStack() as at_the_end:             # the last of these is called first
         at_the_end.callback(executor.shutdown)
         at_the_end.callback(lambda: _end(executor, nodes))
@@ -218,18 +262,20 @@ def _ends(node: Node) -> bool:
     return bool(getattr(node, 'finished', False))
 
 
-def _turn(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
+def _turn(executor: _Executor, nodes: Sequence[Node]) -> None:
     """Serve nodes for a while, at most SPIN_S where nothing comes."""
     if not all(getattr(node, 'inputs', ()) for node in nodes):
         executor.spin_once(timeout_sec=SPIN_S)
         return
     for _ in range(_CALLBACKS):
         executor.spin_once(timeout_sec=0.0)
+        if executor.idle:
+            break
     ends, stopped = time.monotonic() + SPIN_S, stop_requested()
     while time.monotonic() < ends and stop_requested() is stopped:
         # Asked for anew: a callback above may have been a transition, which ends subscriptions.
         if not sum(subscription.look_again() for node in nodes for subscription in node.inputs):
-            time.sleep(_LOOK_S)
+            executor.wait_for([subscription for node in nodes for subscription in node.inputs])
 
 
 def _end(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:
