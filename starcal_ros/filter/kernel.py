@@ -44,8 +44,8 @@ _HOURLY = hourly().copy()                      # (16, 4, 3): of the drifts
 _DRIFTS, _CELL = DRIFTS.start, CELL.start
 _N_DRIFTS, _N_CELLS = DRIFTS.stop - DRIFTS.start, CELL.stop - CELL.start
 # Columns of the effects that move the centroids themselves: time, velocity, lens, phases and
-# magnitude, which move all stars, then those of the cells, which move their own; and of these the
-# pairs that belong to one effect.
+# magnitude, which move all stars, then those of the cells, which move their own, u before v. Where
+# the effect of each begins; and the pairs, of those that move all stars, that are of one effect.
 _DENSE = [WIDTH * effect + column for effect, count in (
     (TIME, 1), (VELOCITY, 3), (LENS_TERMS, 3), (PHASE_U, 2), (PHASE_V, 2), (MAGNITUDE, 2))
     for column in range(count)]
