@@ -30,6 +30,7 @@ from starcal_ros.results.document import CalibrationError
 from starcal_ros.results.store import CalibrationStore, StoreError
 
 _DIAGNOSTICS_S = 1.0
+_FIRST_S = 0.25         # for those who listen already to be found
 
 
 class Estimator(ManagedNode):
@@ -61,7 +62,7 @@ class Estimator(ManagedNode):
     def activate(self) -> None:
         """Listen to the sensors, as soon as the results have the listeners they must have."""
         self._diagnostics = Diagnostics(self, self.inputs)
-        self.repeat(_DIAGNOSTICS_S, self._publish_diagnostics)
+        self.repeat(_DIAGNOSTICS_S, self._publish_diagnostics, _FIRST_S)
         own = self.scenario.estimator
         self.when_heard(own.wait_for_subscribers, own.wait_for_nodes, self._listen)
 

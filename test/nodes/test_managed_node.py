@@ -16,6 +16,7 @@ from lifecycle_msgs.msg import Transition, TransitionEvent  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import LivelinessPolicy, QoSProfile  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
@@ -30,6 +31,7 @@ from starcal_ros.filter.offline import calibrate  # noqa: E402
 from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages import conventions, topics  # noqa: E402
 from starcal_ros.nodes.base import run_loop  # noqa: E402
+from starcal_ros.nodes.base.managed_node import ManagedNode  # noqa: E402
 from starcal_ros.nodes.base.matched_subscription import BACKLOG_S  # noqa: E402
 from starcal_ros.nodes.base.matched_subscription import MatchedSubscription  # noqa: E402
 from starcal_ros.nodes.estimator import Estimator  # noqa: E402
@@ -370,3 +372,32 @@ def test_error_in_a_callback_or_a_service_does_not_end_a_node(peer):
                  'error in tick, the node goes on: LookupError: nothing there',
                  "error in imu/data_raw, the node goes on: AttributeError: 'bytes' object has no"):
         assert said.count(text) == 1, said
+
+
+def test_what_is_repeated_may_begin_before_its_first_period(peer):
+    """Whoever asks how a node is need not wait for that."""
+    class Ticking(ManagedNode):
+        def __init__(self):
+            super().__init__('ticking')
+            self.ticks = 0
+            self.start()
+
+        def activate(self):
+            self.repeat(1000.0, self.tick, 0.01)
+
+        def tick(self):
+            self.ticks += 1
+
+    node = Ticking()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    for _ in range(1000):
+        if node.ticks:
+            break
+        executor.spin_once(timeout_sec=0.1)
+    (timer,), before = node._running, node.ticks
+    assert before == 1 and timer.timer_period_ns == 1000 * 10**9 and not timer.is_canceled()
+    node.trigger_deactivate()
+    assert not node._running
+    executor.shutdown()
+    node.destroy_node()

@@ -122,10 +122,20 @@ class ManagedNode(parameters.AnsweringNode, LifecycleNode):
             self._surviving(topic.name, callback), latched=topic.latched, raw=True,
             at_once=at_once, gather_s=gather_s, hurried=hurried))
 
-    def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Call back again and again, until `deactivate`."""
-        self._running.append(run_loop.steady_timer(
-            self, period_s, self._surviving(callback.__name__, callback)))
+    def repeat(self, period_s: float, callback: Callable[[], None],
+               first_s: float | None = None) -> None:
+        """Call back again and again, first after a period or `first_s`, until `deactivate`."""
+        call = self._surviving(callback.__name__, callback)
+
+        def begin() -> None:
+            run_loop.end_timer(self, timer)
+            self._running.remove(timer)
+            self.repeat(period_s, callback)
+            call()
+
+        timer = run_loop.steady_timer(
+            self, *((period_s, call) if first_s is None else (first_s, begin)))
+        self._running.append(timer)
 
     def serve(self, service_type: type, name: str, answer: Callable[[Any], tuple[bool, str]]
               ) -> Service[Any, Any]:
