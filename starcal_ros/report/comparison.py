@@ -41,7 +41,7 @@ def verdict_lines(found: Mapping[str, Agreement], differ: Sequence[str]) -> Iter
     """Yield what the chi-squares say, the last line in words."""
     for name, each in found.items():
         yield (f'{name}: chi-square {each.chi2:.4g} of {each.freedom} degrees of freedom, by '
-               f'chance {_percent(each.probability)}')
+               f'chance {percent(each.probability)}')
     yield f'They differ: {", ".join(differ)}' if differ else 'They agree'
 
 
@@ -69,8 +69,8 @@ def trend_table(trends: Sequence[Trend], quantity: str = 'time', unit: str = 'da
         place = NAMES.index(each.name)
         ratio = each.slope / each.sigma
         out.add_row(LABELS[place], SIGMA_UNITS[place], f'{each.slope:.3g}', f'{each.sigma:.2g}',
-                    f'{ratio:+.1f}', _percent(each.constant.probability),
-                    _percent(each.line.probability), style='bold' if abs(ratio) > _FAR else '')
+                    f'{ratio:+.1f}', percent(each.constant.probability),
+                    percent(each.line.probability), style='bold' if abs(ratio) > _FAR else '')
     return out
 
 
@@ -90,5 +90,8 @@ def _arcsec(turn: np.ndarray) -> str:
     return f'{float(np.linalg.norm(turn)) / ARCSEC:.3g} arcsec'
 
 
-def _percent(probability: float) -> str:
-    return f'{100.0 * probability:.2g} %' if probability >= 1e-12 else 'never'
+def percent(probability: float) -> str:
+    """Return a probability in percent, to two digits, those of a whole hundred too."""
+    if probability < 1e-12:
+        return 'never'
+    return f'{100.0 * probability:{".0f" if probability >= 0.0995 else ".2g"}} %'
