@@ -258,21 +258,12 @@ class Calibrator:
         if not n:
             return [], 0
         rows = slice(frames.first[k], frames.first[k + n])
-        first = frames.first[k:k + n + 1] - frames.first[k]
         usable = np.isfinite(prepared.stars.sigma[rows])
         found.residual[~usable] = found.chi2[~usable] = np.nan
-        stamps, results = frames.stamp_ns[k:k + n], []
-        uv_raster, catalog_id = frames.uv_raster[rows], frames.catalog_id[rows]
-        bounds = first.tolist()
-        for stamp_ns, begin, end, nis, turn, root, *values in zip(
-                stamps.tolist(), bounds, bounds[1:], found.nis.tolist(), found.turn, found.root,
-                found.C_gi, found.bias, found.C_sg, found.intrinsics, prepared.gyro.reading[k:]):
-            after = Belief(belief.nominal.moved(*values), belief.error, root)
-            results.append(FrameResult(
-                stamp_ns, after, uv_raster[begin:end], found.residual[begin:end],
-                found.chi2[begin:end], found.accepted[begin:end], catalog_id[begin:end], nis, turn,
-                True, track))
+        stamps = frames.stamp_ns[k:k + n]
+        results = prepared.ordinary.results(k, found, belief, track)
         self._reprojection.add(stamps, found.squares, found.used)
+        stamp_ns, after = results[-1].stamp_ns, results[-1].belief
         self.stamp_ns = stamp_ns
         self._lock.hold()
         used = int(found.used.sum())

@@ -15,8 +15,10 @@ import numpy as np
 
 from starcal_ros.filter import arithmetic, hypotheses
 from starcal_ros.filter.acquisition import MIN_STARS, MOST_TORN, TORN, WIDE
+from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import LARGEST_CORRECTION, SIGMA_ACQUIRED, Filter
+from starcal_ros.filter.frame_result import FrameResult
 from starcal_ros.filter.innovation_tests import WINDOW
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, Values, ready
@@ -89,6 +91,35 @@ class OrdinaryFrames:
                          stars.sigma[low:high], self._magnitude[low:high], rows),
             tests.sums(), out, until - k)
         return out.of(done, int(first[done]) - low)
+
+    def results(self, k: int, found: Gained, belief: Belief, track: AttitudeTrack
+                ) -> list[FrameResult]:
+        """Return what the frames from the k-th on gave, one by one.
+
+        Parameters
+        ----------
+        k : int
+        found : Gained
+            From `advance`.
+        belief : Belief
+            Before them.
+        track : AttitudeTrack
+            Before the first of them; more than one is done where there is none.
+        """
+        frames, n = self._frames, len(found.nis)
+        rows = slice(self._first[k], self._first[k + n])
+        uv_raster, catalog_id = frames.uv_raster[rows], frames.catalog_id[rows]
+        bounds, results = (self._first[k:k + n + 1] - rows.start).tolist(), []
+        for stamp_ns, begin, end, nis, turn, root, *values in zip(
+                frames.stamp_ns[k:k + n].tolist(), bounds, bounds[1:], found.nis.tolist(),
+                found.turn, found.root, found.C_gi, found.bias, found.C_sg, found.intrinsics,
+                self._intervals.reading[k:]):
+            after = Belief(belief.nominal.moved(*values), belief.error, root)
+            results.append(FrameResult(
+                stamp_ns, after, uv_raster[begin:end], found.residual[begin:end],
+                found.chi2[begin:end], found.accepted[begin:end], catalog_id[begin:end], nis, turn,
+                True, track))
+        return results
 
 
 def _constants(filter_: Filter) -> Constants:

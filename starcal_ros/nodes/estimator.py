@@ -20,7 +20,6 @@ from starcal_ros.messages.conventions import GYRO_FRAME, OPTICAL_FRAME
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.decoding import decoded
 from starcal_ros.nodes.base.managed_node import ManagedNode
-from starcal_ros.nodes.base.rhythm import BURST
 from starcal_ros.nodes.base.stamps import status_stamp
 from starcal_ros.nodes.estimator_check import FirstMinutes
 from starcal_ros.nodes.estimator_diagnostics import Diagnostics
@@ -68,7 +67,7 @@ class Estimator(ManagedNode):
 
     def _listen(self) -> None:
         # A few readings together take hardly longer than one.
-        self.listen(topics.IMU, self._on_gyro, gather_s=BURST / self.scenario.gyro.rate_hz,
+        self.listen(topics.IMU, self._on_gyro, gather_s=self._results.rhythm.gather_s,
                     hurried=self._awaits_gyro)
         self.listen(topics.CENTROIDS, self._on_frames)
 

@@ -94,4 +94,5 @@ def percent(probability: float) -> str:
     """Return a probability in percent, to two digits, those of a whole hundred too."""
     if probability < 1e-12:
         return 'never'
-    return f'{100.0 * probability:{".0f" if probability >= 0.0995 else ".2g"}} %'
+    value = 100.0 * probability
+    return f'{value:.0f} %' if value >= 9.95 else f'{value:.2g} %'

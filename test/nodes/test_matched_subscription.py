@@ -97,24 +97,31 @@ def test_nothing_gathers_where_as_many_have_come_as_are_taken(clock, listening):
     assert listening.batches == [1, 1, 1]
 
 
-@pytest.mark.parametrize('after_ms, ahead_ms, may', [
-    (0, 10, True), (0, 50, False), (30, 45, True), (30, 60, False), (0, -1, True)])
-def test_a_reading_may_have_come_by_the_time_that_has_passed(monkeypatch, after_ms, ahead_ms, may):
+def heard(monkeypatch, count, factor):
+    """Return a rhythm that has heard readings of 100 Hz at some speed, and its clock."""
     clock = Clock()
     monkeypatch.setattr(rhythm_module, 'time', clock)
     rhythm = Rhythm(100.0)
-    for k in range(1, 100):
-        clock.now_s = 1000.0 + 0.01 * k
+    for k in range(1, count + 1):
+        clock.now_s = 1000.0 + 0.01 * k / factor
         rhythm.heard(np.array([10**7 * k]))
+    return rhythm, clock
+
+
+@pytest.mark.parametrize('rate_hz, gather_s', [
+    (0.1, 0.05), (1.0, 0.05), (100.0, 0.05), (1000.0, 0.005)])
+def test_readings_gather_for_a_moment_however_slow_they_are(rate_hz, gather_s):
+    assert Rhythm(rate_hz).gather_s == pytest.approx(gather_s)
+
+
+@pytest.mark.parametrize('after_ms, ahead_ms, may', [
+    (0, 10, True), (0, 50, False), (30, 45, True), (30, 60, False), (0, -1, True)])
+def test_a_reading_may_have_come_by_the_time_that_has_passed(monkeypatch, after_ms, ahead_ms, may):
+    rhythm, clock = heard(monkeypatch, 99, 1.0)
     clock.now_s += 1e-3 * after_ms
     assert rhythm.may_have_come(99 * 10**7 + ahead_ms * 10**6) is may
 
 
 def test_in_a_run_faster_than_real_time_any_reading_may_have_come(monkeypatch):
-    clock = Clock()
-    monkeypatch.setattr(rhythm_module, 'time', clock)
-    rhythm = Rhythm(100.0)
-    for k in range(1, 3000):
-        clock.now_s = 1000.0 + 0.001 * k
-        rhythm.heard(np.array([10**7 * k]))
+    rhythm, _ = heard(monkeypatch, 2999, 10.0)
     assert rhythm.may_have_come(10**15)

@@ -28,6 +28,7 @@ T = TypeVar('T')
 
 CATCH_UP = 4.0          # times the rate of the readings
 BURST = 5               # messages that may go out at once
+GATHER_S = 0.05         # longest time that a reading waits for others
 PATIENCE_S = 5.0        # makes up for 20 s at real time
 _WINDOW_S = 5.0         # over which the least age is taken
 _WINDOWS = 3            # of which the first is compared with
@@ -66,6 +67,11 @@ class Rhythm:
             self._began_s = now_s
         self._least_s[-1] = min(self._least_s[-1], age_s)
         self.real_time = bool(age_s > self._least_s[0] - _YOUNGER_S)
+
+    @property
+    def gather_s(self) -> float:
+        """How long readings may gather: for no burst, and for GATHER_S at most."""
+        return min(BURST / self._rate_hz, GATHER_S)
 
     def may_have_come(self, stamp_ns: int) -> bool:
         """Tell whether a reading of such a stamp, or a later one, may have come by now."""
