@@ -3,9 +3,9 @@
 """Time of S24's equations: `OPENBLAS_NUM_THREADS=1 python bench/interstar.py`.
 
 As written: all NF (NF - 1) NS (NS - 1) / 4 rows of A and e (S24 Eq. 11, 12), then A'A and A'e.
-Reduced: the same two from sums over stars and frames (`calibration.interstar_complete`),
-rounds batched. Both begin with the directions of the spots and their derivatives; the best of
-several tries.
+Reduced: the same two from sums over stars and frames (`calibration.interstar_complete`), rounds
+batched. Both begin with the directions of the spots and their derivatives. Compiled: from the
+spots, as written, but no row is kept (`calibration.interstar_kernel`). The best of several tries.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.calibration import interstar_equations as interstar
+from starcal_ros.calibration.interstar_arithmetic import pinhole_equations
 from starcal_ros.calibration.interstar_complete import normal_equations
 from starcal_ros.reproduction.self2024 import (METHODS, PITCH_MM, TRUTH, Point, run_file, scenes,
                                                spots)
@@ -59,15 +60,19 @@ def main() -> None:
         v, C_si = scenes(np.random.default_rng(1), AT_ONCE, point)
         uv = spots(v, C_si)
         uv = uv + 0.07 * np.random.default_rng(2).standard_normal(uv.shape)
-        sight = interstar.pinhole(uv, np.broadcast_to(TRUTH, (AT_ONCE, 3)), PITCH_MM, True)
+        x = np.tile(TRUTH, (AT_ONCE, 1))
+        sight = interstar.pinhole(uv, x, PITCH_MM, True)
         one = interstar.pinhole(uv[0], TRUTH, PITCH_MM, True)
         for ours, literal in zip(reversed(normal_equations(sight, sight.instruments)),
                                  as_written(one)):
             np.testing.assert_allclose(ours[0], literal, rtol=1e-5)
         written = best(partial(as_written, one), 5)
         ours_ms = best(partial(normal_equations, sight, sight.instruments), 40) / AT_ONCE
+        compiled_ms = best(partial(pinhole_equations, uv, x, PITCH_MM, None, True, False),
+                           40) / AT_ONCE
         print(f'NF {point.frames:3d}, NS {point.stars:2d}: as written {written:7.1f} ms, reduced '
-              f'{ours_ms:6.3f} ms, {written / ours_ms:5.0f} times'
+              f'{ours_ms:6.3f} ms, {written / ours_ms:5.0f} times; compiled '
+              f'{compiled_ms:6.3f} ms, {written / compiled_ms:5.0f} times'
               + (f' ({RATIO:.0f} wanted)' if point is POINTS[0] else ''))
     ms = np.min([run_file(POINTS[0], 1, k, 8)['ms'][:len(METHODS), 0] for k in range(4)], axis=0)
     print('A round at NF 100, NS 20: '

@@ -17,10 +17,12 @@ WINGS = ('core', 'files', 'sky', 'config', 'measurements', 'filter', 'imaging', 
          'calibration', 'messages', 'recording', 'checks', 'results', 'workflows', 'simulation',
          'evaluation', 'reproduction', 'report', 'live', 'nodes.base', 'nodes', 'cli')
 """Each imports itself and those before it. What estimates stands before the truth."""
-ONLY = {'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srvs': 'nodes',
-        '_interfaces': 'nodes', 'mcap': 'recording', 'rosbags': 'recording',
-        'matplotlib': 'report', 'plotly': 'report', 'numba': 'filter', 'aiohttp': 'live'}
-"""Endings of the names of libraries that one wing alone imports."""
+ONLY: dict[str, str | tuple[str, ...]] = {
+    'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srvs': 'nodes',
+    '_interfaces': 'nodes', 'mcap': 'recording', 'rosbags': 'recording',
+    'matplotlib': 'report', 'plotly': 'report', 'numba': ('filter', 'calibration'),
+    'aiohttp': 'live'}
+"""Endings of the names of libraries that one wing alone imports, or two."""
 DISTRIBUTIONS = {'PIL': 'pillow', 'erfa': 'pyerfa', 'yaml': 'pyyaml'}
 """Names on PyPI of the libraries that are imported by another one."""
 LICENSED = ('*.py', '*.yaml', '*.xml', '*.cfg', '*.toml', '*.css', '*.js', '*.rviz', '*.cff',

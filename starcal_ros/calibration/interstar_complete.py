@@ -16,8 +16,36 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros.calibration.interstar_equations import SpotDirections, joined
+from starcal_ros.calibration.interstar_equations import SpotDirections, joined, pinhole
 from starcal_ros.core.arrays import Array
+
+
+def pinhole_equations(uv: Array, x: Array, pitch_mm: float, cosines: Array | None,
+                      constrained: bool, newton: bool) -> tuple[Array, Array]:
+    """Return A'e and its derivative for pinhole cameras, one a round.
+
+    Parameters
+    ----------
+    uv : (rounds, NF, NS, 2) array
+        Spots, from where the intrinsics count [px].
+    x : (rounds, 3) array
+        u0, v0 [px] and f [mm].
+    pitch_mm : float
+        Pixel pitch [mm].
+    cosines : (rounds, NS, NS) array or None
+        v_i . v_j of the catalogue; None compares the frames with one another.
+    constrained : bool
+        Hold r, Eq. (I.2), WC.
+    newton : bool
+        By the derivative of e; otherwise the matrix is A'A.
+
+    Returns
+    -------
+    value, matrix : (rounds, 3), (rounds, 3, 3) array
+        As of `normal_equations`.
+    """
+    sight = pinhole(uv, x, pitch_mm, constrained)
+    return normal_equations(sight, sight.by_intrinsics if newton else sight.instruments, cosines)
 
 
 def normal_equations(sight: SpotDirections, moved: Array, cosines: Array | None = None

@@ -8,19 +8,18 @@ take one leading axis, the runs; `LeadingAxes` leads there and back.
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.core.compiled import say_uncompiled
+
 try:
     from starcal_ros.filter.kernel import (COMPILED, advance, bends, carry, compose, correct,
                                            fit, judge, propagate, tally)
-except Exception as error:      # no numba; or its cache has no place, is full, or is damaged
-    if not isinstance(error, ModuleNotFoundError):
-        print(f'starcal_ros: the filter runs uncompiled: {error or type(error).__name__}',
-              file=sys.stderr)
+except Exception as error:
+    say_uncompiled('the filter', error)
     from starcal_ros.filter.reference import (COMPILED, advance, bends, carry, compose, correct,
                                               fit, judge, propagate, tally)
 

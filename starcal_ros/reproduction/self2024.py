@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from starcal_ros.calibration import interstar_equations as interstar
-from starcal_ros.calibration.interstar_complete import normal_equations
+from starcal_ros.calibration.interstar_arithmetic import pinhole_equations
 from starcal_ros.core import camera, rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.evaluation.tasks import complete
@@ -169,11 +169,8 @@ def evaluate(x: Array, uv: Array, cosines: Array | None, constrained: bool,
     scale : float, optional
         lambda of S24 Eq. 10; Newton's method without.
     """
-    sight = interstar.pinhole(uv, x, PITCH_MM, constrained)
-    if scale is None:
-        return normal_equations(sight, sight.by_intrinsics, cosines)
-    value, matrix = normal_equations(sight, sight.instruments, cosines)
-    return value, matrix / scale
+    value, matrix = pinhole_equations(uv, x, PITCH_MM, cosines, constrained, newton=scale is None)
+    return value, matrix if scale is None else matrix / scale
 
 
 def evaluate_unbiased(x: Array, uv: Array, sigma: float) -> tuple[Array, Array]:

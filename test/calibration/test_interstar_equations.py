@@ -4,11 +4,15 @@
 
 from functools import partial
 from itertools import combinations
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from starcal_ros.calibration import interstar_complete
 from starcal_ros.calibration import interstar_equations as interstar
+from starcal_ros.calibration.interstar_arithmetic import pinhole_equations
 from starcal_ros.calibration.interstar_complete import normal_equations
 from starcal_ros.core import camera
 from starcal_ros.evaluation import consistency
@@ -255,6 +259,33 @@ def test_expectation_is_the_same_with_a_lens_and_spots_missing():
         # Rounding of numeric derivatives, and of squares: of n q q, which all but cancel.
         np.testing.assert_allclose(a, b, rtol=1e-5)
         np.testing.assert_allclose(a, c, rtol=1e-5)
+
+
+@pytest.mark.parametrize('newton', [False, True])
+@pytest.mark.parametrize('constrained', [False, True])
+@pytest.mark.parametrize('identified', [False, True])
+def test_compiled_equations_are_the_reduced_ones(identified, constrained, newton):
+    v, uv = draw(7, 3)
+    x = TRUTH + np.array([[0.0, 0.0, 0.0], [20.0, -30.0, 1.0], [-200.0, 100.0, -2.0]])
+    given = (uv, x, PITCH_MM, v @ np.swapaxes(v, -1, -2) if identified else None, constrained,
+             newton)
+    value, matrix = pinhole_equations(*given)
+    expected, expected_matrix = interstar_complete.pinhole_equations(*given)
+    # The root moves by less than a tenth of what ends an iteration.
+    size = np.abs(expected_matrix) @ LARGEST
+    assert (np.abs(value - expected) < 0.1 * interstar.CONVERGED * size).all()
+    scale = np.sqrt(np.einsum('rkk->rk', expected_matrix))
+    np.testing.assert_allclose(matrix / scale[:, :, None] / scale[:, None],
+                               expected_matrix / scale[:, :, None] / scale[:, None], atol=1e-9)
+
+
+def test_without_numba_the_reduced_equations_run():
+    program = ("import sys; sys.modules['numba'] = None\n"
+               'from starcal_ros.calibration import interstar_arithmetic, interstar_complete\n'
+               'assert interstar_arithmetic.pinhole_equations is '
+               'interstar_complete.pinhole_equations')
+    subprocess.run([sys.executable, '-c', program], check=True)
+    assert pinhole_equations is not interstar_complete.pinhole_equations
 
 
 @pytest.mark.parametrize('rounds', [1, 3])
