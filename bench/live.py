@@ -35,7 +35,8 @@ def start(name: str, folder: Path, *names: str) -> subprocess.Popen[str]:
     """Start a node, or several in one process."""
     command = node_program.node_command(name, {}, folder / 'config.yaml')
     command[4:4] = names
-    return subprocess.Popen(command, env={**os.environ, **live_run.isolated()}, text=True,
+    return subprocess.Popen(command, text=True, env={
+        **os.environ, **live_run.isolated('fastdds_loopback' if names else 'fastdds_demo')},
                             stderr=subprocess.PIPE if 'gyro_sim' in (name, *names) else None)
 
 

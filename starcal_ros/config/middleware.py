@@ -33,14 +33,14 @@ def profile(name: str = 'fastdds') -> dict[str, str]:
     return {} if others else ours
 
 
-def loopback() -> dict[str, str]:
+def loopback(name: str = 'fastdds_loopback') -> dict[str, str]:
     """Return environment variables with which nodes are reached from this machine alone.
 
     With Fast DDS no socket is bound to an address of a network. With another middleware, and
     with settings of the user's own, the nodes find no other machine, but may be bound to it.
     """
     rmw = os.environ.get('RMW_IMPLEMENTATION') or (_RMW if _is_installed(_RMW) else '')
-    if rmw.startswith('rmw_fastrtps') and (settings := profile('fastdds_loopback')):
+    if rmw.startswith('rmw_fastrtps') and (settings := profile(name)):
         return {'RMW_IMPLEMENTATION': rmw, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
                 **settings}
     return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **profile()}

@@ -32,6 +32,7 @@ class Channel:
     newest_ns: int = 0
     is_ahead: bool = False          # the last stamp, far, and not believed
     log_times_ns: list[int | None] = field(default_factory=list)
+    own_stamps_ns: list[int] = field(default_factory=list)      # those of its own among them
     messages: list[bytes] = field(default_factory=list)
     count: int = 0
     lost_by_middleware: int = 0     # up to a pause
@@ -56,17 +57,14 @@ class Channel:
         if self.known:          # a latched message comes once more to who subscribes again
             batch, given = [message for message in batch if message not in self.known], batch
             self.known.difference_update(given)
-        stamps = []
         for stamp_ns in map(self.stamp_ns, batch):
             if self.of_ros or stamp_ns is None:
                 log_time = None if newest_ns is None else near(stamp_ns, newest_ns)
             else:
                 log_time = self._log_time_ns(stamp_ns)
                 newest_ns = max(newest_ns or 0, log_time)
-                stamps.append(log_time)
+                self.own_stamps_ns.append(log_time)
             self.log_times_ns.append(log_time)
-        if stamps:
-            self.gaps.add(stamps)
         self.messages += batch
         self.latest.extend(batch[-LATEST:])
         self.count += len(batch)
@@ -74,11 +72,13 @@ class Channel:
 
     def pending(self, first_ns: int | None) -> Batch:
         """Hand over the messages since the last flush; those without a time get the first."""
+        if self.own_stamps_ns:
+            self.gaps.add(self.own_stamps_ns)
         log_time = [near(self.stamp_ns(message), first_ns) if t is None else t
                     for t, message in zip(self.log_times_ns, self.messages)]
         batch = Batch(self.name, self.type_name, np.array(log_time, np.int64), self.messages,
                       self.qos)
-        self.messages, self.log_times_ns = [], []
+        self.messages, self.log_times_ns, self.own_stamps_ns = [], [], []
         return batch
 
     def _log_time_ns(self, stamp_ns: int) -> int:

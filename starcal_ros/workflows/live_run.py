@@ -66,7 +66,8 @@ def run_live(scenario: Scenario, folder: Path,
     try:
         for name in ('recorder', 'estimator', *_SIMULATORS):
             nodes[name] = subprocess.Popen(
-                [*node_command(name, {}, params_file), *_QUIET], env={**os.environ, **isolated()})
+                [*node_command(name, {}, params_file), *_QUIET],
+                env={**os.environ, **isolated('fastdds_demo')})
         for newest_ns in _until_simulated(nodes, McapTail(recording)):
             on_progress(part_over(newest_ns, scenario))
         on_progress(1.0)
@@ -90,10 +91,10 @@ def part_over(newest_ns: int, scenario: Scenario) -> float:
     return min(max(newest_ns - start_ns, 0) * NS / scenario.simulation.duration_s, 1.0)
 
 
-def isolated() -> dict[str, str]:
+def isolated(profile: str = 'fastdds_loopback') -> dict[str, str]:
     """Return environment variables with which nodes meet only each other, and quickly."""
     return {'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),   # above 101: Linux's ephemeral ports
-            **middleware.loopback()}
+            **middleware.loopback(profile)}
 
 
 def _until_simulated(nodes: Mapping[str, subprocess.Popen[bytes]], recording: McapTail

@@ -69,7 +69,7 @@ def test_nodes_are_closed_with_the_middleware_whose_settings_do_it(
         assert middleware.loopback() == kept
 
 
-@pytest.mark.parametrize('name', ['fastdds', 'fastdds_loopback'])
+@pytest.mark.parametrize('name', ['fastdds', 'fastdds_loopback', 'fastdds_demo'])
 def test_both_versions_are_set_alike(name):
     """But for the one name that changed."""
     new, old = (ET.canonicalize(from_file=config_file(name + end), with_comments=False)
@@ -77,16 +77,30 @@ def test_both_versions_are_set_alike(name):
     assert new.replace('heartbeat_period', 'heartbeatPeriod') == old
 
 
-def test_closed_nodes_are_as_quick_as_others():
-    quick, closed = (ET.parse(config_file(name)).getroot()
-                     for name in ('fastdds.xml', 'fastdds_loopback.xml'))
+@pytest.mark.parametrize('name', ['fastdds_loopback.xml', 'fastdds_demo.xml'])
+def test_closed_nodes_are_as_quick_as_others(name):
+    quick, closed = (ET.parse(config_file(each)).getroot() for each in ('fastdds.xml', name))
     for part in ('initialAnnouncements', 'times'):
         one, two = ([ET.tostring(found) for found in root.iter() if found.tag.endswith(part)]
                     for root in (quick, closed))
         assert one == two and one
 
 
-@pytest.mark.parametrize('name', ['fastdds', 'fastdds_loopback'])
+@pytest.mark.parametrize('end', ['.xml', '_2.xml'])
+def test_the_demo_is_closed_and_has_short_queues(end):
+    closed, demo = (ET.parse(config_file(name + end)).getroot()
+                    for name in ('fastdds_loopback', 'fastdds_demo'))
+    for parent in [*demo.iter()]:
+        for part in [*parent]:
+            if part.tag.endswith(('data_reader', 'topic')):
+                assert 100 <= int(next(each.text for each in part.iter()
+                                       if each.tag.endswith('max_samples'))) <= 300
+                parent.remove(part)
+    assert ET.canonicalize(ET.tostring(demo), strip_text=True) == ET.canonicalize(
+        ET.tostring(closed), strip_text=True)
+
+
+@pytest.mark.parametrize('name', ['fastdds', 'fastdds_loopback', 'fastdds_demo'])
 def test_the_middleware_that_is_installed_takes_its_settings(monkeypatch, name):
     """It would tell each name that it does not know on stderr, and pass over the whole file."""
     pytest.importorskip('rclpy')
