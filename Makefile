@@ -72,6 +72,7 @@ SOURCES := package.xml $(shell find bin config launch resource starcal_ros \
 	@rm -rf build
 	@.venv/bin/pip install --quiet --no-deps --no-index --no-build-isolation --force-reinstall .
 	@cd .venv && bin/python -m starcal_ros.filter.arithmetic
+	@cd .venv && bin/python -m starcal_ros.calibration.frame_arithmetic
 	@cd .venv && bin/python -m starcal_ros.calibration.interstar_arithmetic
 	@touch $@
 

@@ -5,13 +5,11 @@
 All is read of the shipped file, whose numbers `test_parameter_file.py` holds against the paper's.
 """
 
-from functools import partial
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 from starcal_ros.calibration import invariants
 from starcal_ros.config import models, parameter_file
-from starcal_ros.core import camera
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.simulation import sensors
 
@@ -24,8 +22,7 @@ PITCH_MM = DETECTOR.pitch_mm
 INTRINSICS = models.intrinsics(TAN2018.camera, TAN2018.truth.camera)
 """The true ones, T18 Table 1: 3 px of distortion at the corner."""
 INTRINSICS.flags.writeable = False
-LENS = invariants.Lens(partial(camera.unproject, pitch_mm=PITCH_MM),
-                       partial(camera.linearize, pitch_mm=PITCH_MM))
+LENS = invariants.Lens(PITCH_MM, steps=2)
 
 _DATA = TOP.parent / 'shared' / 'data'
 EXTERNAL = _DATA / 'external_tan2018'

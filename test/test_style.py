@@ -20,9 +20,9 @@ WINGS = ('core', 'files', 'sky', 'config', 'measurements', 'filter', 'imaging', 
 ONLY: dict[str, str | tuple[str, ...]] = {
     'rclpy': 'nodes', 'ament_index_python': 'nodes', '_msgs': 'nodes', '_srvs': 'nodes',
     '_interfaces': 'nodes', 'mcap': 'recording', 'rosbags': 'recording',
-    'matplotlib': 'report', 'plotly': 'report', 'numba': ('filter', 'calibration'),
+    'matplotlib': 'report', 'plotly': 'report', 'numba': ('core', 'filter', 'calibration'),
     'aiohttp': 'live'}
-"""Endings of the names of libraries that one wing alone imports, or two."""
+"""Endings of the names of libraries that one wing alone imports, or few."""
 DISTRIBUTIONS = {'PIL': 'pillow', 'erfa': 'pyerfa', 'yaml': 'pyyaml'}
 """Names on PyPI of the libraries that are imported by another one."""
 LICENSED = ('*.py', '*.yaml', '*.xml', '*.cfg', '*.toml', '*.css', '*.js', '*.rviz', '*.cff',

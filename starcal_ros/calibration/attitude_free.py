@@ -15,12 +15,12 @@ stars can not hide each other.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from starcal_ros.calibration import invariants
+from starcal_ros.calibration.frame_arithmetic import kernel
 from starcal_ros.calibration.invariants import Frame, Information, Lens
 from starcal_ros.config.models import nominal_camera, of_intrinsics, star_gate
 from starcal_ros.config.scenario import Scenario
@@ -87,25 +87,31 @@ def update(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement)
 def _iterate(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement
              ) -> tuple[CameraBelief, Frame, Array]:
     """Return the corrected belief, the frame as last linearised, and how far from the prior."""
-    prior, root = belief
-    p = prior.shape[-1]
-    root_t = np.swapaxes(root, -1, -2)
-    at = prior
+    prior = at = belief.parameters
     for _ in range(_ITERATIONS):
         frame = invariants.linearize(stars, at, lens)
         matrix, vector = measure(frame)
         away = at - prior
-        vector = vector - (matrix @ away[..., None])[..., 0]
-        # As kalman.correct, for information in place of residuals.
-        L = np.linalg.cholesky(np.eye(p) + root_t @ matrix @ root)
-        solved = np.linalg.solve(
-            L, np.concatenate((root_t, root_t @ vector[..., None]), axis=-1))
-        corrected = np.swapaxes(solved[..., :p], -1, -2)
-        fitted = CameraBelief(prior - (corrected @ solved[..., p:])[..., 0], corrected)
+        fitted = _told(belief, away, matrix, vector)
         step, at = fitted.parameters - at, fitted.parameters
         if (np.abs(step) <= _LARGE * fitted.sigma).all():
             break
     return fitted, frame, away
+
+
+def _told(belief: CameraBelief, away: Array, matrix: Array, vector: Array) -> CameraBelief:
+    """Return what is known after information that was taken `away` from what was believed."""
+    prior, root = belief
+    p = prior.shape[-1]
+    if kernel and vector.ndim == prior.ndim == 1:
+        return CameraBelief(*kernel.correct(prior, root, away, matrix, vector))
+    root_t = np.swapaxes(root, -1, -2)
+    vector = vector - (matrix @ away[..., None])[..., 0]
+    # As kalman.correct, for information in place of residuals.
+    L = np.linalg.cholesky(np.eye(p) + root_t @ matrix @ root)
+    solved = np.linalg.solve(L, np.concatenate((root_t, root_t @ vector[..., None]), axis=-1))
+    corrected = np.swapaxes(solved[..., :p], -1, -2)
+    return CameraBelief(prior - (corrected @ solved[..., p:])[..., 0], corrected)
 
 
 def screen(belief: CameraBelief, stars: Stars, lens: Lens, measure: Measurement, gate: float
@@ -165,6 +171,8 @@ def _misfit(frame: Frame, root: Array, away: Array) -> Array:
     away : (p,) array
         From the prior to where the frame is linearised.
     """
+    if kernel:
+        return np.asarray(kernel.misfit(*frame[1:3], frame.Q, root, away, _TINY))
     z, M = frame.z - frame.H @ away, frame.H @ root
     V = np.linalg.solve(np.linalg.cholesky(np.eye(len(root)) + M.T @ M), M.T).T
     g_u, g_v = (z - V @ (V.T @ z)).reshape(-1, 2).T
@@ -207,9 +215,7 @@ class AttitudeFree:
     def __init__(self, scenario: Scenario, measure: Measurement, min_stars: int,
                  known: CameraEstimate | None = None) -> None:
         options, begun = scenario.estimator, nominal_camera(scenario, known)
-        pitch_mm = scenario.camera.pixel_pitch_mm
-        self._lens = Lens(partial(camera.unproject, pitch_mm=pitch_mm, steps=0),
-                          partial(camera.linearize, pitch_mm=pitch_mm))
+        self._lens = Lens(scenario.camera.pixel_pitch_mm)
         self._measure, self._min_stars = measure, min_stars
         estimated = np.isin(camera.INTRINSICS, scenario.intrinsics.estimate)
         self._first = CameraBelief(begun.intrinsics, kalman.root_of(begun.covariance))

@@ -44,26 +44,72 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core import rotation
+from starcal_ros.calibration.frame_arithmetic import kernel
+from starcal_ros.core import camera, rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.measurements.samples import Stars
 
 
-class Lens(NamedTuple):
-    """A camera model, as functions of its p parameters.
+class Square(NamedTuple):
+    """A camera of p parameters as `core.camera` has it, and as its own pixels are.
 
     Attributes
     ----------
-    unproject : callable
-        Centroids (..., n, 2) and parameters (..., p) to unit directions (..., n, 3), good to
-        1e-5 or better: they are what the catalogue is turned upon.
-    linearize : callable
-        Directions r_s (..., n, 3) and parameters to centroids, their derivatives by a rotation
-        (..., n, 2, 3), as of `camera.linearize`, and by the parameters (..., n, 2, p).
+    intrinsics : (..., 7) array
+        On square pixels.
+    slopes : (..., 7, p) array
+        Their derivatives by the parameters.
+    scale : (..., 2) array
+        Own u and v of one square pixel.
+    scale_slopes : (..., 2, p) array
+        Its derivatives.
     """
 
-    unproject: Callable[[Array, Array], Array]
-    linearize: Callable[[Array, Array], tuple[Array, Array, Array]]
+    intrinsics: Array
+    slopes: Array
+    scale: Array
+    scale_slopes: Array
+
+
+def itself(intrinsics: Array) -> Square:
+    """Return the camera whose parameters are its intrinsics, (..., 7)."""
+    return Square(intrinsics, np.eye(7), np.ones(2), np.zeros((2, 7)))
+
+
+class Lens(NamedTuple):
+    """A camera model.
+
+    Attributes
+    ----------
+    pitch_mm : float
+        Of the square pixels.
+    square : callable
+        From parameters (..., p) to their `Square`.
+    steps : int
+        Of Newton's method in `unproject`: of `camera.unproject`.
+    """
+
+    pitch_mm: float
+    square: Callable[[Array], Square] = itself
+    steps: int = 0
+
+    def unproject(self, uv: Array, parameters: Array) -> Array:
+        """Return the unit directions (..., n, 3) of centroids (..., n, 2) [px].
+
+        They are what the catalogue is turned upon: 1e-5 is good enough.
+        """
+        square = self.square(parameters)
+        return camera.unproject(uv / square.scale[..., None, :], square.intrinsics, self.pitch_mm,
+                                self.steps)
+
+    def linearize(self, r_s: Array, parameters: Array) -> tuple[Array, Array, Array]:
+        """Return centroids and derivatives, as `camera.linearize`, by the parameters last."""
+        square = self.square(parameters)
+        uv, N, H = camera.linearize(r_s, square.intrinsics, self.pitch_mm)
+        scale = square.scale[..., None, :]
+        H = (H.reshape(*H.shape[:-3], -1, 7) @ square.slopes).reshape(*H.shape[:-1], -1)
+        H = scale[..., None] * H + uv[..., None] * square.scale_slopes[..., None, :, :]
+        return scale * uv, scale[..., None] * N, H
 
 
 class Frame(NamedTuple):
@@ -105,6 +151,8 @@ class Information(NamedTuple):
 
 def information(z: Array, H: Array) -> Information:
     """Return the information of residuals (..., m) and slopes (..., m, p) in units of sigma."""
+    if kernel and z.ndim == 1:
+        return Information(*kernel.information(z, H))
     Ht = np.swapaxes(H, -1, -2)
     return Information(Ht @ H, (Ht @ z[..., None])[..., 0])
 
@@ -117,6 +165,10 @@ def linearize(stars: Stars, parameters: Array, lens: Lens) -> Frame:
     numpy.linalg.LinAlgError
         Where the camera of these parameters can not have seen the stars.
     """
+    single = stars.u_i.ndim == stars.uv.ndim == 2 and parameters.ndim == 1
+    if kernel and single and stars.sigma.ndim == 1:
+        return Frame(*kernel.linearize(*stars, *lens.square(parameters),
+                                       lens.pitch_mm, lens.steps))
     w_s = lens.unproject(stars.uv, parameters)
     weight = (1.0 / stars.sigma)[..., None]
     r_s = stars.u_i @ np.swapaxes(align(stars.u_i, w_s, weight), -1, -2)

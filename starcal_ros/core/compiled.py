@@ -5,6 +5,10 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 def say_uncompiled(what: str, error: Exception) -> None:
@@ -15,3 +19,8 @@ def say_uncompiled(what: str, error: Exception) -> None:
     if not isinstance(error, ModuleNotFoundError):
         print(f'starcal_ros: {what} runs uncompiled: {error or type(error).__name__}',
               file=sys.stderr)
+
+
+def ready(part: NDArray[Any]) -> NDArray[Any]:
+    """Return an array as the compiled functions take it: contiguous and writable."""
+    return part if part.flags.carray else np.array(part, order='C')

@@ -12,7 +12,6 @@ Importing this compiles what is not in numba's cache on disk yet: half a minute,
 
 from __future__ import annotations
 
-from functools import partial
 import sys
 from typing import Any
 
@@ -20,6 +19,9 @@ import numba
 import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints, Mask
+from starcal_ros.core.compiled import ready
+from starcal_ros.core.compiled_parts import (diagonalized, dot, factored, jit as _jit, multiplied,
+                                             projected, solved, triangularized)
 from starcal_ros.filter import stretch
 from starcal_ros.filter.curvature import BETWEEN, MATTERS, REPEATS
 from starcal_ros.filter.frame_innovation import (ALONG, BLIND, CELLS, FRAMES, FREEDOM, LAG,
@@ -31,11 +33,9 @@ from starcal_ros.filter.hypotheses import (CELL, DRIFTS, KM_S, LENS_TERMS, MAGNI
 from starcal_ros.filter.reference import Carried, Corrected, TurnFound
 from starcal_ros.filter.responses import TOLD, UNTOLD, WIDTH, Fit
 from starcal_ros.filter.states import LENS, SCALE
-from starcal_ros.filter.stretch import ready
 
 COMPILED = True
 
-_jit: Any = partial(numba.njit, cache=True, error_model='numpy')
 _typeof: Any = numba.typeof
 
 _TURN, _PSI, _LENS, _N = SCALE[0], 6, LENS.start, LENS.stop
@@ -102,126 +102,6 @@ def _orthonormalized(C: Array, out: Array) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = 1.5 * C[i, j] - 0.5 * cube[i, j]
-
-
-# Small matrices
-
-@_jit
-def _triangularized(A: Array) -> None:
-    """Leave R of A = Q R in the upper triangle of A, by Householder reflections."""
-    # Over whole rows, also where they are done with: of one length, which is faster.
-    rows, n = A.shape
-    v, w = np.empty(rows), np.empty(n)
-    for j in range(n):
-        square = 0.0
-        for i in range(j + 1, rows):
-            square += A[i, j] * A[i, j]
-        if square == 0.0:
-            continue
-        alpha = A[j, j]
-        beta = -np.copysign(np.sqrt(alpha * alpha + square), alpha)
-        tau, inverse = (beta - alpha) / beta, 1.0 / (alpha - beta)
-        first = A[j]
-        for k in range(n):
-            w[k] = first[k]
-        for i in range(j + 1, rows):
-            v[i] = factor = A[i, j] * inverse
-            row = A[i]
-            for k in range(n):
-                w[k] += factor * row[k]
-        for k in range(j + 1):
-            w[k] = 0.0
-        for k in range(n):
-            w[k] *= tau
-            first[k] -= w[k]
-        first[j] = beta
-        for i in range(j + 1, rows):
-            factor, row = v[i], A[i]
-            for k in range(n):
-                row[k] -= factor * w[k]
-
-
-@_jit
-def _factored(A: Array, L: Array) -> bool:
-    """Write the Cholesky factor of A, read of its lower triangle, to L; false if there is none."""
-    n = A.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            value = A[i, j]
-            for k in range(j):
-                value -= L[i, k] * L[j, k]
-            if j < i:
-                L[i, j] = value / L[j, j]
-            elif value > 0.0:
-                L[i, i] = np.sqrt(value)
-            else:
-                return False
-        for j in range(i + 1, n):
-            L[i, j] = 0.0
-    return True
-
-
-@_jit
-def _solved(L: Array, X: Array) -> None:
-    """Replace X by L^-1 X."""
-    n, columns = X.shape
-    for i in range(n):
-        for k in range(i):
-            factor = L[i, k]
-            for c in range(columns):
-                X[i, c] -= factor * X[k, c]
-        inverse = 1.0 / L[i, i]
-        for c in range(columns):
-            X[i, c] *= inverse
-
-
-@_jit
-def _dot(x: Array, y: Array) -> float:
-    """Return x'y, in four sums."""
-    whole = len(x) - len(x) % 4
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    for k in range(0, whole, 4):
-        a += x[k] * y[k]
-        b += x[k + 1] * y[k + 1]
-        c += x[k + 2] * y[k + 2]
-        d += x[k + 3] * y[k + 3]
-    for k in range(whole, len(x)):
-        a += x[k] * y[k]
-    return (a + b) + (c + d)
-
-
-@_jit
-def _multiplied(A: Array, B: Array, out: Array) -> None:
-    """Write A B to out: two rows at once, four terms each way over them, one after the other."""
-    inner, columns = B.shape
-    rows, whole = A.shape[0], inner - inner % 4
-    for i in range(0, rows - 1, 2):
-        a, b, p, q = A[i], A[i + 1], out[i], out[i + 1]
-        for c in range(columns):
-            p[c] = q[c] = 0.0
-        for k in range(0, whole, 4):
-            a0, a1, a2, a3 = a[k], a[k + 1], a[k + 2], a[k + 3]
-            b0, b1, b2, b3 = b[k], b[k + 1], b[k + 2], b[k + 3]
-            w, x, y, z = B[k], B[k + 1], B[k + 2], B[k + 3]
-            for c in range(columns):                # each read once, before what is written
-                wc, xc, yc, zc = w[c], x[c], y[c], z[c]
-                p[c] = (((p[c] + a0 * wc) + a1 * xc) + a2 * yc) + a3 * zc
-                q[c] = (((q[c] + b0 * wc) + b1 * xc) + b2 * yc) + b3 * zc
-        for k in range(whole, inner):
-            a0, b0, w = a[k], b[k], B[k]
-            for c in range(columns):
-                wc = w[c]
-                p[c] += a0 * wc
-                q[c] += b0 * wc
-    if rows % 2:
-        a, p = A[rows - 1], out[rows - 1]
-        for c in range(columns):
-            p[c] = 0.0
-        for k in range(inner):
-            a0, w = a[k], B[k]
-            if a0 != 0.0:
-                for c in range(columns):
-                    p[c] += a0 * w[c]
 
 
 # The interval
@@ -334,7 +214,7 @@ def _propagate(C_gi, C_sg, error, root, Delta, turn, J_b, slopes, sigma, duratio
                     A[n + 3 + j, i] = 0.5 * bias
                     A[n + 16 + j, i] = bias / np.sqrt(12.0)
                 A[n + 6 + i, i] = density[3 + i] * step / _TURN
-        _triangularized(A)
+        triangularized(A)
         for i in range(n):
             for j in range(n):
                 root_after[r, i, j] = A[j, i] if j <= i else 0.0
@@ -364,45 +244,6 @@ _UNSEEN = _LENS - 3             # states that move no centroid: between the turn
 def _seen_state(j: int) -> int:
     """Return which state is the j-th of those that move a centroid."""
     return j if j < 3 else j + _UNSEEN
-
-
-@_jit
-def _seen(x0: float, y0: float, z0: float, camera: Array, pitch_mm: float, uv: Array, H_s: Array,
-          H_lens: Array) -> None:
-    """As `core.camera.linearize`, of one star."""
-    u0, v0, f, k1, k2, p1, p2 = (camera[0], camera[1], camera[2], camera[3], camera[4], camera[5],
-                                 camera[6])
-    scale = 1.0 / pitch_mm
-    a, b = x0 / z0, y0 / z0
-    x, y = -f * a, -f * b
-    rr = x * x + y * y
-    s = 1.0 + rr * (k1 + k2 * rr) + 2.0 * (p1 * x + p2 * y)
-    uv[0], uv[1] = u0 + scale * (x * s + p1 * rr), v0 + scale * (y * s + p2 * rr)
-    bend = 2.0 * (k1 + 2.0 * k2 * rr)
-    bend_x, bend_y = bend * x, bend * y
-    D_xx = scale * (s + x * (bend_x + 4.0 * p1))
-    D_xy = scale * (y * (bend_x + 2.0 * p1) + 2.0 * p2 * x)
-    D_yy = scale * (s + y * (bend_y + 4.0 * p2))
-    f_ab, f_aa, f_bb = f * a * b, -f * (1.0 + a * a), f * (1.0 + b * b)
-    H_s[0, 0] = D_xx * f_ab + D_xy * f_bb
-    H_s[1, 0] = D_xy * f_ab + D_yy * f_bb
-    H_s[0, 1] = D_xx * f_aa - D_xy * f_ab
-    H_s[1, 1] = D_xy * f_aa - D_yy * f_ab
-    H_s[0, 2] = D_xy * x - D_xx * y
-    H_s[1, 2] = D_yy * x - D_xy * y
-    H_lens[0, 0] = H_lens[1, 1] = 1.0
-    H_lens[0, 1] = H_lens[1, 0] = 0.0
-    H_lens[0, 2] = -(D_xx * a + D_xy * b)
-    H_lens[1, 2] = -(D_xy * a + D_yy * b)
-    xx, yy = scale * x * x, scale * y * y
-    r2, rr = x * x + y * y, xx + yy
-    H_lens[0, 3] = x * rr
-    H_lens[1, 3] = y * rr
-    H_lens[0, 4] = x * rr * r2
-    H_lens[1, 4] = y * rr * r2
-    H_lens[0, 5] = rr + 2.0 * xx
-    H_lens[1, 5] = H_lens[0, 6] = 2.0 * scale * x * y
-    H_lens[1, 6] = rr + 2.0 * yy
 
 
 @_jit('b1(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], '
@@ -506,7 +347,7 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
             usable[star] = ahead > cos_field * np.sqrt(x * x + y * y + ahead * ahead)
             if not usable[star]:
                 x, y, ahead = 0.0, 0.0, 1.0
-            _seen(x, y, ahead, lens, pitch_mm, at, H_s, H_lens)
+            projected(x, y, ahead, lens, pitch_mm, at, H_s, H_lens)
             for i in range(2):
                 row = H[2 * star + i]
                 if m:
@@ -525,7 +366,7 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
             first, second = H[2 * star], H[2 * star + 1]
             z_u, z_v = z[2 * star], z[2 * star + 1]
             if expected:
-                z_u, z_v = z_u - _dot(first, before), z_v - _dot(second, before)
+                z_u, z_v = z_u - dot(first, before), z_v - dot(second, before)
             i_uu, i_vu, i_vv = 1.0, 0.0, 1.0
             if trails:
                 a = first[0] * trail[r, 0] + first[1] * trail[r, 1] + first[2] * trail[r, 2]
@@ -548,17 +389,17 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
         for j in range(seen):
             root_seen[j] = root[r, _seen_state(j)]
         Mr = M_used[r]
-        _multiplied(white, root_seen, Mr)
+        multiplied(white, root_seen, Mr)
         square, widest = 0.0, 0.0
         H_used[r] = 0.0
         for star in range(stars):
             upper, lower = Mr[2 * star], Mr[2 * star + 1]
             z_u, z_v = z_used[r, 2 * star], z_used[r, 2 * star + 1]
-            uu, ww = _dot(upper, upper), _dot(lower, lower)
-            gain = _dot(upper, lower) / (1.0 + uu)
+            uu, ww = dot(upper, upper), dot(lower, lower)
+            gain = dot(upper, lower) / (1.0 + uu)
             for j in range(n):
                 left[j] = lower[j] - gain * upper[j]
-            rest, across = _dot(left, left), z_v - gain * z_u
+            rest, across = dot(left, left), z_v - gain * z_u
             chi2[r, star] = z_u * z_u / (1.0 + uu) + across * across / (
                 1.0 + gain * gain + rest)
             accepted[r, star] = usable[star] and chi2[r, star] <= gate
@@ -574,10 +415,10 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
                     for j in range(n):
                         Mr[row, j] = 0.0
         spread[r] = np.sqrt(widest)
-        _multiplied(Mr.T, Mr, A)
+        multiplied(Mr.T, Mr, A)
         for i in range(n):
             A[i, i] += 1.0
-        good = _factored(A, L[r]) and good
+        good = factored(A, L[r]) and good
         # L^-1 root', of which the transposed is the root after it, and L^-1 M' z
         for i in range(n):
             for j in range(n):
@@ -587,16 +428,16 @@ def _correct(C_gi, bias, C_sg, intrinsics, error, root, C_si, shift, slopes, tra
             factor = z_used[r, row]
             for i in range(n):
                 right[i, n] += Mr[row, i] * factor
-        _solved(L[r], right)
+        solved(L[r], right)
         for i in range(n):
             found[i] = right[i, n]
             for j in range(n):
                 root_after[r, j, i] = right[i, j]
-        nis[r] = square - _dot(found, found)
+        nis[r] = square - dot(found, found)
         for i in range(n):
-            error_after[r, i] = before[i] + scale[i] * _dot(root_after[r, i], found)
+            error_after[r, i] = before[i] + scale[i] * dot(root_after[r, i], found)
         for row in range(rows):
-            residual[r, row // 2, row % 2] = _dot(H[row], error_after[r]) - z[row]
+            residual[r, row // 2, row % 2] = dot(H[row], error_after[r]) - z[row]
         freed[r] = 0.0
         C_gi_after[r], bias_after[r], C_sg_after[r] = C_gi[r], bias[r], C_sg[r]
         intrinsics_after[r] = lens
@@ -648,7 +489,7 @@ def _carry(E, Phi, C_gi_before, C_gi, C_sg, Delta, J, duration, drift):
     rows = np.empty((3, columns))
     C, T, B, rate = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for r in range(runs):
-        _multiplied(Phi[r, :3], E[r], rows)
+        multiplied(Phi[r, :3], E[r], rows)
         E[r, :3] = rows
         _product_by_transposed(C_gi[r], C_gi_before[r], C)
         span = max(duration[r], 1e-9)
@@ -790,7 +631,7 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                 log_det[r] += 4.0 * np.log(sigma[r, star])
             for i in range(2):
                 row = 2 * star + i
-                normal[r, star, i] = zr[row] / np.sqrt(1.0 + _dot(M[r, row], M[r, row]))
+                normal[r, star, i] = zr[row] / np.sqrt(1.0 + dot(M[r, row], M[r, row]))
             x = int((uv[r, star, 0] / half[0] + 1.0) * (0.5 * CELLS))
             w = int((uv[r, star, 1] / half[1] + 1.0) * (0.5 * CELLS))
             cell[r, star] = CELLS * min(max(w, 0), CELLS - 1) + min(max(x, 0), CELLS - 1)
@@ -816,20 +657,20 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                 for k in range(n + at):
                     sums[k] += factor * left[row, k]
         by_W, products = np.empty((n + at, width)), np.empty((n + at, at + wide))
-        _multiplied(left.T, W, by_W)
+        multiplied(left.T, W, by_W)
         for k in range(n + at):
             for j in range(width):
                 products[k, j] = by_W[k, j]
             for c in range(2 * _N_CELLS):
                 products[k, width + c] = by_cell[c, k]
         PD, S = products[:n], np.empty((at, at + wide))
-        _solved(L[r], PD)
-        _multiplied(PD[:, :at].T, PD, S)
+        solved(L[r], PD)
+        multiplied(PD[:, :at].T, PD, S)
         for i in range(at):
             for j in range(at + wide):
                 S[i, j] = products[n + i, j] - S[i, j]
         K = np.empty((n, at + wide))
-        _multiplied(root[r], PD, K)
+        multiplied(root[r], PD, K)
         for i in range(3):
             v[i] = S[i, m] / _TURN
             for j in range(3):
@@ -837,7 +678,7 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
         judged[r] = False
         if used > 2 and spread[r] < SPREAD and np.isfinite(nis[r]):
             least, most = _extreme_values(N)
-            judged[r] = least > BLIND * most and _factored(N, L_N[r])
+            judged[r] = least > BLIND * most and factored(N, L_N[r])
         if judged[r]:
             for i in range(3):
                 value = v[i]
@@ -856,7 +697,7 @@ def _judge(z, H, M, L, root, E, s, information, C_si, rate_s, u_i, uv, sigma, ma
                 F[k, j] = K[k, j]
             for i in range(m):
                 F[n + i, j] = S[i, j]
-        _multiplied(F, E_seen, both)
+        multiplied(F, E_seen, both)
         if judged[r]:
             # Over all columns at once: of each with itself and with the two before it, of which
             # those of its own effect count.
@@ -940,36 +781,6 @@ def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Arra
     return found
 
 
-@_jit
-def _diagonalized(A, V):
-    """Leave the eigenvalues of a symmetric matrix (3, 3) in its diagonal; vectors in columns of V.
-
-    By Jacobi's rotations, each of which makes an element zero: the largest first, 15 at most.
-    """
-    V[:] = np.eye(3)
-    for _ in range(15):
-        i, j = 0, 1
-        if abs(A[0, 2]) > abs(A[i, j]):
-            j = 2
-        if abs(A[1, 2]) > abs(A[i, j]):
-            i, j = 1, 2
-        if not abs(A[i, j]) > 1e-17 * (abs(A[i, i]) + abs(A[j, j])):
-            break
-        k = 3 - i - j
-        t = 0.5 * (A[j, j] - A[i, i]) / A[i, j]
-        t = np.copysign(1.0, t) / (abs(t) + np.sqrt(1.0 + t * t))
-        c = 1.0 / np.sqrt(1.0 + t * t)
-        s = t * c
-        A[i, i], A[j, j] = A[i, i] - t * A[i, j], A[j, j] + t * A[i, j]
-        A[i, j] = A[j, i] = 0.0
-        a, b = c * A[k, i] - s * A[k, j], s * A[k, i] + c * A[k, j]
-        A[k, i] = A[i, k] = a
-        A[k, j] = A[j, k] = b
-        for row in range(3):
-            V[row, i], V[row, j] = (c * V[row, i] - s * V[row, j],
-                                    s * V[row, i] + c * V[row, j])
-
-
 @_jit('void(f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i8[::1], '
       'f8[:,:,::1])')
 def _fit(s, information, largest, p, sigma, gain, freedom, root):
@@ -979,7 +790,7 @@ def _fit(s, information, largest, p, sigma, gain, freedom, root):
         for i in range(3):
             for j in range(3):
                 A[i, j] = information[g, i, j] * size[i] * size[j]
-        _diagonalized(A, V)
+        diagonalized(A, V)
         gain[g], freedom[g] = 0.0, 0
         for j in range(3):
             along[j] = 0.0

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from starcal_ros.core.compiled import ready
 from starcal_ros.filter import arithmetic, hypotheses
 from starcal_ros.filter.acquisition import MIN_STARS, MOST_TORN, TORN, WIDE
 from starcal_ros.filter.attitude_track import AttitudeTrack
@@ -21,7 +22,7 @@ from starcal_ros.filter.error_state import LARGEST_CORRECTION, SIGMA_ACQUIRED, F
 from starcal_ros.filter.frame_result import FrameResult
 from starcal_ros.filter.innovation_tests import WINDOW
 from starcal_ros.filter.model_tests import ModelTests
-from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, Values, ready
+from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, Values
 from starcal_ros.measurements.preintegration import Preintegrated
 from starcal_ros.measurements.samples import Frames, Stars
 

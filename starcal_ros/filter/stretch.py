@@ -8,10 +8,9 @@ Of one run without optional states. Arrays are contiguous and writable; n is the
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter.frame_innovation import CELLS, MAGNITUDES, SUMS
@@ -175,11 +174,6 @@ class Gained(NamedTuple):
                    np.empty(frames), np.empty(frames, np.int64), np.empty(frames),
                    np.empty((frames, 2)), np.empty((frames, 3)),
                    np.empty(stars), np.empty(stars, np.bool_), np.empty((stars, 2)))
-
-
-def ready(part: NDArray[Any]) -> NDArray[Any]:
-    """Return an array as the compiled functions take it: contiguous and writable."""
-    return part if part.flags.carray else np.array(part, order='C')
 
 
 def example() -> tuple[Values, Constants, Intervals, StretchStars, TestSums, Gained]:

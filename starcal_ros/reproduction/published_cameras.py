@@ -36,6 +36,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from starcal_ros.calibration.invariants import Square
 from starcal_ros.core import camera
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, Detector
@@ -129,25 +130,12 @@ def unproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float, **option
                             **options)
 
 
-def linearize_w19(r_s: Array, parameters: Array, pitch_mm: float) -> tuple[Array, Array, Array]:
-    """Return `project_w19` and its derivatives.
-
-    Returns
-    -------
-    uv_raster : (..., n, 2) array
-        Centroids [px].
-    H_rotation : (..., n, 2, 3) array
-        As of `camera.linearize`.
-    H_parameters : (..., n, 2, 6) array
-        d uv_raster / d parameters.
-    """
-    uv, H_rotation, H_square = camera.linearize(r_s, _square(parameters), pitch_mm)
-    aspect = _aspect(parameters)
-    uv = uv / aspect
-    H = _by_w19(H_square, parameters)
-    H[..., 1, 0] -= uv[..., 1]
-    aspect = aspect[..., None]
-    return uv, H_rotation / aspect, H / aspect
+def square_w19(parameters: Array) -> Square:
+    """Return W19's camera, (..., 6), on square pixels: Eq. (C.1)."""
+    scale = 1.0 / _aspect(parameters)[..., 0, :]
+    scale_slopes = np.zeros((*parameters.shape[:-1], 2, 6))
+    scale_slopes[..., 1, 0] = -scale[..., 1]**2
+    return Square(_square(parameters), _square_slope(parameters), scale, scale_slopes)
 
 
 def backproject_w19(uv_raster: Array, parameters: Array, pitch_mm: float
@@ -189,11 +177,16 @@ def _square(parameters: Array) -> Array:
 
 def _by_w19(by_square: Array, parameters: Array) -> Array:
     """Return derivatives (..., n, m, 6) from those by `_square`, (..., n, m, 7)."""
+    rows = by_square.reshape(*by_square.shape[:-3], -1, 7) @ _square_slope(parameters)
+    return rows.reshape(*rows.shape[:-2], *by_square.shape[-3:-1], 6)
+
+
+def _square_slope(parameters: Array) -> Array:
+    """Return the derivatives of `_square`, (..., 7, 6)."""
     s, f, _, v0, k1, k2 = (parameters[..., k] for k in range(6))
     slope = np.zeros((*parameters.shape[:-1], 7, 6))
     slope[..., 0, 2] = slope[..., 2, 1] = 1.0
     slope[..., 1, 0], slope[..., 1, 3] = v0, s
     slope[..., 3, 1], slope[..., 3, 4] = -2.0 * k1 / f**3, 1.0 / f**2
     slope[..., 4, 1], slope[..., 4, 5] = -4.0 * k2 / f**5, 1.0 / f**4
-    rows = by_square.reshape(*by_square.shape[:-3], -1, 7) @ slope
-    return rows.reshape(*rows.shape[:-2], *by_square.shape[-3:-1], 6)
+    return slope

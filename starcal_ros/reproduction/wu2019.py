@@ -57,8 +57,7 @@ has 24.5, 14.1 and 5.1 stars a frame on average."""
 
 _RICH = 8               # stars: Model 2 then takes four, and differs from Model 1
 
-LENS = Lens(partial(published_cameras.unproject_w19, pitch_mm=DETECTOR.pitch_mm, steps=0),
-            partial(published_cameras.linearize_w19, pitch_mm=DETECTOR.pitch_mm))
+LENS = Lens(DETECTOR.pitch_mm, published_cameras.square_w19)
 
 METHODS: dict[str, dict[str, Measurement]] = {
     'AD': {'full': angular_distance.full, 'diagonal': angular_distance.diagonal},

@@ -3,6 +3,8 @@
 """The filter on single frames: its update, its screening of stars, its bookkeeping."""
 
 from functools import partial
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -206,3 +208,56 @@ def test_calibration_begins_afresh_where_the_camera_has_changed():
     assert any('begins afresh' in text for text in method.take_notices())
     estimate = method.estimate()
     assert (np.abs(estimate.intrinsics - moved) < 4.0 * estimate.sigma).all()
+
+
+@pytest.fixture
+def by_numpy(monkeypatch):
+    """Return a function that does something without the compiled arithmetic."""
+    def call(function, *args):
+        with monkeypatch.context() as patch:
+            for module in (invariants, attitude_free, singular_value):
+                patch.setattr(module, 'kernel', None)
+            return function(*args)
+    return call
+
+
+@pytest.mark.parametrize('stars', [3, 4, 31])
+@pytest.mark.parametrize('wrong', [0, 1])
+@pytest.mark.parametrize('measure', [angular_distance.full, SVD, partial(
+    singular_value.measure, model=1, chosen=(1,), full=True), partial(
+    singular_value.measure, model=2, chosen=(1, 3), full=False)])
+def test_compiled_frame_is_that_of_numpy(by_numpy, measure, stars, wrong):
+    """Same stars, estimates to 1e-6 sigma: the stars are turned upon 1e-9 rad alike."""
+    rng = np.random.default_rng(20)
+    frame = frame_of(stars, rng)
+    frame.uv[:wrong] += 300.0
+    prior = CameraBelief(INTRINSICS + 0.3 * INITIAL * rng.standard_normal(7), np.diag(INITIAL))
+    given = prior, frame, LENS, measure, GATE
+    (found, used), (expected, expected_used) = (
+        attitude_free.screen(*given), by_numpy(attitude_free.screen, *given))
+    np.testing.assert_array_equal(used, expected_used)
+    np.testing.assert_allclose((found.parameters - expected.parameters) / expected.sigma, 0.0,
+                               atol=1e-6)
+    scale = np.outer(expected.sigma, expected.sigma)
+    np.testing.assert_allclose(found.root @ found.root.T / scale,
+                               expected.root @ expected.root.T / scale, atol=1e-6)
+
+
+@pytest.mark.parametrize('away', [0.0, 1e-6, 1e-3, 0.1])
+def test_compiled_alignment_takes_stars_that_are_close_together(by_numpy, away):
+    """Two stars, also at one place, and three on a line."""
+    uv = np.array([[100.0, 50.0], [100.0 + away / 2e-4, 50.0], [100.0 + away / 4e-4, 50.0]])
+    u_i = camera.unproject(uv, INTRINSICS, PITCH_MM) @ rotation.exp(np.array([0.3, -0.2, 2.0]))
+    for stars in (Stars(u_i[:2], uv[:2], np.full(2, SIGMA)), Stars(u_i, uv, np.full(3, SIGMA))):
+        frame = invariants.linearize(stars, INTRINSICS, LENS)
+        expected = by_numpy(invariants.linearize, stars, INTRINSICS, LENS)
+        np.testing.assert_allclose(frame.r_s, expected.r_s, atol=1e-9)
+        np.testing.assert_allclose(frame.z, expected.z, atol=1e-4)
+
+
+def test_without_numba_numpy_does_it():
+    program = ("import sys; sys.modules['numba'] = None\n"
+               'from starcal_ros.calibration import attitude_free, frame_arithmetic\n'
+               'assert frame_arithmetic.kernel is attitude_free.kernel is None')
+    subprocess.run([sys.executable, '-c', program], check=True)
+    assert attitude_free.kernel is not None

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from starcal_ros.calibration.invariants import Lens
 from starcal_ros.core import camera, rotation
 from starcal_ros.reproduction import published_cameras
 
@@ -77,8 +78,8 @@ STEP = np.array([1e-4, 1e-2, 1.0, 1.0, 1e-3, 1e-2])
 @pytest.mark.parametrize('parameters', [W19, OBLONG])
 def test_w19_derivatives_agree_with_central_differences(parameters, directions):
     pitch_mm = DETECTOR.pitch_mm
-    uv, by_rotation, by_parameters = published_cameras.linearize_w19(
-        directions, parameters, pitch_mm)
+    uv, by_rotation, by_parameters = Lens(pitch_mm, published_cameras.square_w19).linearize(
+        directions, parameters)
     np.testing.assert_allclose(uv, published_cameras.project_w19(directions, parameters, pitch_mm))
     w_s, dw_duv, dw = published_cameras.backproject_w19(uv, parameters, pitch_mm)
     np.testing.assert_allclose(w_s, published_cameras.unproject_w19(uv, parameters, pitch_mm))
@@ -106,9 +107,10 @@ def test_w19_derivatives_agree_with_central_differences(parameters, directions):
 def test_w19_takes_batches(directions):
     batch = np.stack((W19, OBLONG))
     uv = published_cameras.project_w19(directions, batch, DETECTOR.pitch_mm)
-    for k, part in enumerate(published_cameras.linearize_w19(directions, batch, DETECTOR.pitch_mm)
+    lens = Lens(DETECTOR.pitch_mm, published_cameras.square_w19)
+    for k, part in enumerate(lens.linearize(directions, batch)
                              + published_cameras.backproject_w19(uv, batch, DETECTOR.pitch_mm)):
         for run in range(2):
-            alone = (published_cameras.linearize_w19(directions, batch[run], DETECTOR.pitch_mm)
+            alone = (lens.linearize(directions, batch[run])
                      + published_cameras.backproject_w19(uv[run], batch[run], DETECTOR.pitch_mm))
             np.testing.assert_allclose(part[run], alone[k], rtol=1e-12, atol=1e-15)

@@ -48,6 +48,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from starcal_ros.calibration.attitude_free import AttitudeFree
+from starcal_ros.calibration.frame_arithmetic import kernel
 from starcal_ros.calibration.invariants import Frame, Information, direction_slopes, directions
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
@@ -170,6 +171,11 @@ def measure(frame: Frame, model: int, chosen: tuple[int, ...], full: bool) -> In
     member = groups(model, frame.r_s.shape[-2])
     count = np.add.reduce(member, axis=-1)
     order = _ascending(chosen)
+    rows = (*frame.z.shape[:-1], -1)
+    if kernel and frame.z.ndim == 1:
+        both, B, beyond = kernel.singular_values(member, np.arange(3)[order], frame.r_s, frame.z,
+                                                 frame.H, frame.N, _LEAST, _NEVER)
+        return _weighted(both, B, beyond, full)
     T = direction_slopes(frame)
     eigenvalues, p = np.linalg.eigh(gram(member, frame.r_s))
     eigenvalues = np.maximum(eigenvalues, _LEAST**2)
@@ -179,7 +185,6 @@ def measure(frame: Frame, model: int, chosen: tuple[int, ...], full: bool) -> In
     variance = 0.5 * np.einsum('...jab,...jab->...j', T, T) @ member.T / count
     beyond = second_order(eigenvalues, count, variance)[..., order]
     B = slopes(member, frame.r_s, p[..., order], sigma[..., order], T)
-    rows = (*z.shape[:-2], -1)
     B = B.reshape(*rows, frame.z.shape[-1])
     both = np.concatenate((z.reshape(*rows, 1), B @ frame.H), axis=-1)
     return _weighted(both, B, beyond.reshape(rows), full)
