@@ -17,7 +17,7 @@ import time
 
 from starcal_ros.evaluation.montecarlo import batch_size
 
-RUNS, MINUTES, MOST = 500, 30, 16
+RUNS, MINUTES, MOST = 1000, 30, 16
 AIMED_AT = 11.0             # times as fast on so many
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 

@@ -201,13 +201,14 @@ def _attitudes(stamp_ns: Ints, spots: Observations, fitted: Adjusted, mirrored: 
     used: Mask = np.ones(len(spots.frame), bool)
     first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
     for step in range(_PASSES):
-        r_s = (C_si[spots.frame] @ spots.u_i[..., None])[..., 0]
+        r_s = np.einsum('nij,nj->ni', C_si[spots.frame], spots.u_i)
         ahead = r_s[:, 2] > 0.1
         uv, H, _ = camera.linearize(np.where(ahead[:, None], r_s, (0.0, 0.0, 1.0)), values,
                                     pitch_mm)
         residual = np.where(ahead[:, None], spots.uv - uv, 1e6)
-        W, across = _information(spots, stamp_ns, C_si, H, scenario)
-        W /= fitted.scale**2
+        if step in (0, _RESISTING):         # the rates are known well enough by then
+            W, across = _information(spots, stamp_ns, C_si, H, scenario)
+            W /= fitted.scale**2
         length = np.sqrt(np.einsum('ni,nij,nj->n', residual, W, residual))
         if step < _RESISTING:
             usual = np.maximum(_medians(length, spots.frame, first) / robust.RAYLEIGH_MEDIAN, 1.0)

@@ -52,7 +52,7 @@ from starcal_ros.core.units import NS
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.nodes.base import command_line, ending
 
-LOOK_S = 0.02                   # between looks at the inputs where nothing is said to come
+LOOK_S = 0.05                   # between looks at the inputs where nothing is said to come
 _CALLBACKS = 4                  # of the executor, at most, between two stretches with the inputs
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_FAILED, STATUS_USAGE = 0, 1, 2
