@@ -68,11 +68,11 @@ class CameraGuess:
         Raises
         ------
         ValueError
-            Where these are not 0 < low <= high < 120.
+            Where these are not 0 < low <= high < 140.
         """
-        if not 0.0 < low_deg <= high_deg < 120.0:
+        if not 0.0 < low_deg <= high_deg < 140.0:
             raise ValueError(f'field of {low_deg} to {high_deg} deg: '
-                             '0 < low <= high < 120 expected')
+                             '0 < low <= high < 140 expected')
         width_mm = detector.width * detector.pitch_mm
         short, long = width_mm / (2.0 * np.tan(np.radians([high_deg, low_deg]) / 2.0))
         return cls.of_focal_length(detector, (short + long) / 2.0, (long - short) / (long + short))

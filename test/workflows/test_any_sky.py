@@ -76,6 +76,22 @@ def test_a_very_wide_field_is_found_without_a_word(images, field_deg):
     assert is_right(found, true) and found['counts']['images'] == 2
 
 
+@pytest.mark.parametrize('field_deg', [110.0, 120.0])
+def test_the_widest_fields_are_found_where_they_are_stated(images, field_deg):
+    true = {**TRUE, 'f_px': 320.0 / np.tan(np.radians(field_deg / 2.0)), 'k1': -0.02, 'k2': 0.0}
+    eye = Camera(true=true, least_cosine=0.3, zero_point_electrons_s=1e5)
+    for k in range(2):
+        save(images / f'{k}.png', eye.towards())
+    _, found = run(images, '--fov', str(1.05 * field_deg if field_deg < 115.0 else field_deg))
+    assert is_right(found, true) and found['counts']['images'] == 2
+
+
+def test_a_field_beyond_those_is_refused(images, capsys):
+    save(images / 'a.png', np.zeros((48, 64), np.uint8))
+    assert run(images, '--fov', '121')[0] != 0
+    assert 'got 121 deg, needs more than 0, at most 120' in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_field_of_which_nothing_is_known_may_be_too_narrow(images, monkeypatch, capsys):
     monkeypatch.setattr(search, 'RARE_DEG', ((40.0, 55.0),))

@@ -41,7 +41,7 @@ FIELD_ERROR = 0.1
 """Part of itself by which a stated field of view may be wrong."""
 
 _TOLD_ERROR, _KNOWN_ERROR = 0.15, 0.03      # of a field that a file tells, that others have
-_WIDEST_DEG, _WIDEST_TOLD_DEG = 100.0, 119.0
+_WIDEST_DEG, _WIDEST_TOLD_DEG = 120.0, 130.0
 _LEAST_SIGMA_PX = 0.01  # what no fit of a spot knows of: uneven pixels, proper motion to the epoch
 _BEST_OF_CELL = 2       # spots of each cell that a second search begins with
 
