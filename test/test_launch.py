@@ -27,6 +27,10 @@ class Call:
     def __init__(self, *args, **kwargs):
         self.args, self.kwargs = args, kwargs
 
+    def perform(self, context):
+        """Return the value of a substitution."""
+        return context.perform(self)
+
 
 def classes(*names):
     """Return classes that remember their arguments."""
@@ -35,8 +39,8 @@ def classes(*names):
 
 MODULES = {
     'launch': classes('LaunchDescription'),
-    'launch.actions': classes('DeclareLaunchArgument', 'EmitEvent', 'RegisterEventHandler',
-                              'Shutdown'),
+    'launch.actions': classes('DeclareLaunchArgument', 'EmitEvent', 'OpaqueFunction',
+                              'RegisterEventHandler', 'Shutdown'),
     'launch.event_handlers': classes('OnProcessExit'),
     'launch.events': classes('matches_action'),
     'launch.events.process': classes('SignalProcess'),
@@ -66,10 +70,12 @@ def of(entities, name):
     return [entity for entity in entities if type(entity).__name__ == name]
 
 
-def ending(entities):
-    """Return what is called when a node ends."""
-    handler, = found(of(entities, 'RegisterEventHandler'), 'OnProcessExit')
-    return handler.kwargs['on_exit']
+def ending(entities, linger='false'):
+    """Return what is called when a node ends, and the context in which it was registered."""
+    function, = of(entities, 'OpaqueFunction')
+    context = Context(linger)
+    handler, = found(function.kwargs['function'](context), 'OnProcessExit')
+    return handler.kwargs['on_exit'], context
 
 
 def found(value, name):
@@ -88,8 +94,8 @@ def found(value, name):
 def test_every_argument_is_described_and_used_and_none_else(entities):
     declared = of(entities, 'DeclareLaunchArgument')
     names = [argument.args[0] for argument in declared]
-    used = {call.args[0] for call in found(
-        [*of(entities, 'Node'), ending(entities).linger], 'LaunchConfiguration')}
+    used = {call.args[0] for call in found(of(entities, 'Node'), 'LaunchConfiguration')}
+    used.update(ending(entities)[1].asked)
     assert len(set(names)) == len(names) and set(names) == used
     assert all(len(argument.kwargs['description']) > 10 for argument in declared)
     assert 'namespace' in names and 'config' in names
@@ -195,12 +201,19 @@ class Event:
 
 
 class Context:
-    """A launch that goes on, with one value for every argument."""
+    """A launch that goes on, where each argument has one value, or none has any more."""
 
     is_shutdown = False
 
-    def __init__(self, linger):
-        self.linger = linger
+    def __init__(self, value=None):
+        self.value, self.asked = value, []
+
+    def perform(self, configuration):
+        """Return an argument of launch."""
+        self.asked += configuration.args
+        if self.value is None:
+            raise LookupError(f'launch configuration {configuration.args} does not exist')
+        return self.value
 
 
 def asked(actions):
@@ -215,55 +228,55 @@ def asked(actions):
     return event.kwargs['process_matcher'].args[0].kwargs['executable']
 
 
-def begun(entities, monkeypatch):
+def begun(entities, linger='false'):
     """Let the nodes run that do without images, and return them by name, and what ends them."""
-    monkeypatch.setattr(Call, 'perform', lambda self, context: context.linger, raising=False)
     for node in of(entities, 'Node'):
         node.process_details = {'pid': 1} if runs(node, False) else None
     nodes = sorted(of(entities, 'Node'), key=lambda node: node.process_details is not None)
-    return {node.kwargs['executable']: node for node in nodes}, ending(entities)
+    return {node.kwargs['executable']: node for node in nodes}, ending(entities, linger)[0]
 
 
-def test_each_node_ends_after_those_that_speak_to_it(entities, monkeypatch):
-    nodes, at_end = begun(entities, monkeypatch)
+def test_each_node_ends_after_those_that_speak_to_it(entities):
+    """Without the arguments, too: where a group includes the file, they are gone by then."""
+    nodes, at_end = begun(entities)
     last = None
     for source in at_end.sources:
         assert last is None
-        last = asked(at_end(Event(source), Context('false')))
+        last = asked(at_end(Event(source), Context()))
     order = [last]
     while order[-1] not in (None, 'all'):
-        order.append(asked(at_end(Event(nodes[order[-1]]), Context('false'))))
+        order.append(asked(at_end(Event(nodes[order[-1]]), Context())))
     running = [name for name, node in nodes.items() if node.process_details]
     assert order == ([None] if 'gyro_sim' not in running and 'player' not in running else
                      [name for name in ('estimator', 'recorder') if name in running] + ['all'])
 
 
-def test_nodes_linger_where_they_are_asked_to(entities, monkeypatch):
-    _, at_end = begun(entities, monkeypatch)
+def test_nodes_linger_where_they_are_asked_to(entities):
+    _, at_end = begun(entities, 'true')
     for source in at_end.sources:
-        assert asked(at_end(Event(source), Context('true'))) is None
+        assert asked(at_end(Event(source), Context())) is None
 
 
-def test_node_that_fails_ends_the_launch_with_an_error(entities, monkeypatch):
-    nodes, at_end = begun(entities, monkeypatch)
+def test_node_that_fails_ends_the_launch_with_an_error(entities):
+    nodes, at_end = begun(entities)
     for name, node in nodes.items():
         with pytest.raises(RuntimeError, match=f'{name} ended with status 2'):
-            at_end(Event(node, 2), Context('true'))
-    assert asked(at_end(Event(nodes['estimator']), Context('true'))) == 'all'
+            at_end(Event(node, 2), Context())
+    assert asked(at_end(Event(nodes['estimator']), Context())) == 'all'
 
 
 def test_the_others_go_on_where_the_recorder_has_failed_and_the_launch_tells_in_the_end(
-        entities, monkeypatch):
-    nodes, at_end = begun(entities, monkeypatch)
+        entities):
+    nodes, at_end = begun(entities)
     if 'recorder' not in nodes:
         assert at_end.spare is None
         return
-    assert at_end(Event(nodes['recorder'], 1), Context('false')) == []
+    assert at_end(Event(nodes['recorder'], 1), Context()) == []
     if not at_end.sources:              # a launch that ends when it is asked to
         return
     last = None
     for source in at_end.sources:
-        last = asked(at_end(Event(source), Context('false')))
+        last = asked(at_end(Event(source), Context()))
     assert last == 'estimator'
     with pytest.raises(RuntimeError, match='recorder ended with status 1'):
-        at_end(Event(nodes['estimator']), Context('false'))
+        at_end(Event(nodes['estimator']), Context())

@@ -29,13 +29,13 @@ class Ending:
         When all of them have ended, the run is over; without any it never is.
     others : sequence of Node
         The other nodes, each before those that it speaks to.
-    linger : LaunchConfiguration, optional
+    linger : bool, optional
         Whether these stay when the run is over.
     spare : Node, optional
         One of the others that may fail while these go on.
     """
 
-    def __init__(self, sources: Sequence[Any], others: Sequence[Any], linger: Any = None,
+    def __init__(self, sources: Sequence[Any], others: Sequence[Any], linger: bool = False,
                  spare: Any = None) -> None:
         self.sources, self.others, self.linger, self.spare = sources, others, linger, spare
         self._failed = ''
@@ -61,7 +61,7 @@ class Ending:
             return [Shutdown(reason=f'{name} ended')]
         if not self.sources or not all(each in self._ended for each in self.sources):
             return []
-        if self.linger and self.linger.perform(context).lower() in ('true', '1'):
+        if self.linger:
             return []
         self._over = True
         for node in self.others:
@@ -75,7 +75,16 @@ class Ending:
 
 def end_in_turn(sources: Sequence[Any], others: Sequence[Any], linger: Any = None,
                 spare: Any = None) -> Any:
-    """Return the action for a launch description; see `Ending`."""
-    from launch.actions import RegisterEventHandler
+    """Return the action for a launch description; see `Ending`.
+
+    The launch configuration `linger` is read when the description is: where a group includes it,
+    its arguments are gone by the time that a node ends.
+    """
+    from launch.actions import OpaqueFunction, RegisterEventHandler
     from launch.event_handlers import OnProcessExit
-    return RegisterEventHandler(OnProcessExit(on_exit=Ending(sources, others, linger, spare)))
+
+    def begin(context: Any) -> list[Any]:
+        stays = linger is not None and linger.perform(context).lower() in ('true', '1')
+        return [RegisterEventHandler(OnProcessExit(
+            on_exit=Ending(sources, others, stays, spare)))]
+    return OpaqueFunction(function=begin)
