@@ -4,7 +4,8 @@
 
 When the run or the replay is over, each node that is left is asked to end when those that speak to
 it have ended, so that it has all that they said. A node that fails ends the launch at once, with
-status 1: the others would wait for it.
+status 1: the others would wait for it. What else a launch runs, that includes the file, is left
+alone: launch itself ends when nothing runs any more.
 
 launch is imported when it is used: the nodes do without it.
 """
@@ -47,7 +48,8 @@ class Ending:
         from launch.actions import EmitEvent, Shutdown
         from launch.events import matches_action
         from launch.events.process import SignalProcess
-        if context.is_shutdown:
+        own = (*self.sources, *self.others)
+        if context.is_shutdown or event.action not in own:
             return []
         name = event.process_name
         if event.returncode != 0:
@@ -70,7 +72,7 @@ class Ending:
                     signal_number=signal.SIGINT, process_matcher=matches_action(node)))]
         if self._failed:
             raise RuntimeError(self._failed)
-        return [Shutdown(reason='the run is over')]
+        return []
 
 
 def end_in_turn(sources: Sequence[Any], others: Sequence[Any], linger: Any = None,
