@@ -333,8 +333,8 @@ class Calibrator:
         return FrameResult(stamp_ns, self.belief, frames.uv_raster[rows],
                            np.where(usable[:, None], update.residual, np.nan),
                            np.where(usable, update.chi2, np.nan), update.accepted,
-                           frames.catalog_id[rows], float(update.nis), turn, bool(update.linear),
-                           track)
+                           frames.catalog_id[rows], frames.sigma[rows], float(update.nis), turn,
+                           bool(update.linear), track)
 
     def _rest(self, stamp_ns: int) -> None:
         """Take the stars for such as do not trail; what was judged so far does not count."""

@@ -49,6 +49,8 @@ class FrameResult(NamedTuple):
         Stars used.
     catalog_id : (n,) int64 array
         Hipparcos numbers.
+    sigma : (n,) array
+        What the message states of the centroids [px]; 0 for nothing.
     nis : float
         Normalised innovation squared of all stars used, ``2 * accepted.sum()`` degrees of freedom.
     turn : (3,) array
@@ -67,6 +69,7 @@ class FrameResult(NamedTuple):
     chi2: Array
     accepted: Mask
     catalog_id: Ints
+    sigma: Array
     nis: float
     turn: Array
     linear: bool

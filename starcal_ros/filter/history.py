@@ -20,13 +20,11 @@ from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.frame_result import FrameResult
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.filter.verdict import equivalent_sigma
-from starcal_ros.measurements.samples import Frames
 
 MOST = 20_000
 """Frames that are kept at once, at most: nearly 3 h at 2 Hz are kept whole."""
 
 _BLOCK = 500            # frames that are kept as they came, at most
-_WAITING = 50_000       # frames whose result is still to come: more than a calibrator keeps
 
 
 @dataclass(frozen=True)
@@ -107,13 +105,6 @@ class History:
     turned: Array
 
 
-class _Row(NamedTuple):
-    """A frame, parts of a batch, and what its stars state; in a block they are copied."""
-
-    frame: FrameResult
-    stated: Array
-
-
 class _Block(NamedTuple):
     """Rows as arrays, in the order of `History`, and those of their stars."""
 
@@ -140,32 +131,22 @@ class HistoryKeeper:
         self._sigma_px = scenario.star_tracker.centroid_sigma_px
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._frames, self._every, self._kept = 0, 1, 0
-        self._rows: list[_Row] = []
+        self._rows: list[FrameResult] = []
         self._blocks: list[_Block] = []
-        self._last: _Row | None = None
-        self._stated: dict[int, Array] = {}         # sigmas of the stars, by the frame's stamp
+        self._last: FrameResult | None = None
         self._C_gi: list[Array] = []                # of the last frames
         self._turned = np.zeros(3)
 
-    def expect(self, frames: Frames) -> None:
-        """Take frames before they are processed: what they state of their stars."""
-        for stamp_ns in list(self._stated)[:max(len(self._stated) - _WAITING, 0)]:
-            del self._stated[stamp_ns]
-        for k, stamp_ns in enumerate(frames.stamp_ns.tolist()):
-            # Of frames with the same stamp the first is used: the others are not newer.
-            self._stated.setdefault(stamp_ns, frames.sigma[frames.first[k]:frames.first[k + 1]])
-
     def add(self, frame: FrameResult) -> None:
         """Take what a frame gave."""
-        stated = self._stated.pop(frame.stamp_ns)
         self._C_gi.append(frame.belief.estimate.C_gi)
         if len(self._C_gi) == _BLOCK:
             self._add_turns()
         if self._frames % self._every == 0:
-            self._rows.append(_Row(frame, stated))
+            self._rows.append(frame)
             self._last = None
         else:
-            self._last = _Row(frame, stated)
+            self._last = frame
         self._frames += 1
         if self._frames % _BLOCK == 0:
             self._end_block()
@@ -212,18 +193,17 @@ class HistoryKeeper:
         return _Block(*(tuple(map(np.concatenate, zip(*parts))) for parts in zip(*blocks)))
 
 
-def _block(rows: list[_Row], pitch_mm: float) -> _Block:
-    if not rows:
+def _block(frames: list[FrameResult], pitch_mm: float) -> _Block:
+    if not frames:
         return _Block((
             np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 7)),
             np.empty((0, N_STATES)), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64),
             np.empty((0, 3)), np.empty(0, np.int64)),
             (np.empty((0, 2)), np.empty((0, 2)), np.empty(0, bool), np.empty(0),
              np.empty(0, np.int64)))
-    frames = [row.frame for row in rows]
     belief = Belief.stacked([frame.belief for frame in frames])
     estimate, root = belief.estimate, belief.state_root
-    seen = np.array([len(row.stated) for row in rows])
+    seen = np.array([len(frame.sigma) for frame in frames])
     accepted = np.concatenate([frame.accepted for frame in frames])
     used = np.diff(np.concatenate(([0], np.cumsum(accepted)))[np.cumsum([0, *seen])])
     return _Block((
@@ -234,5 +214,5 @@ def _block(rows: list[_Row], pitch_mm: float) -> _Block:
         np.array([frame.turn for frame in frames]), seen),
         (np.concatenate([frame.uv_raster for frame in frames]),
          np.concatenate([frame.residual for frame in frames]), accepted,
-         np.concatenate([row.stated for row in rows]),
+         np.concatenate([frame.sigma for frame in frames]),
          np.concatenate([frame.catalog_id for frame in frames])))

@@ -8,14 +8,13 @@ from collections.abc import Callable, Iterator
 
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.frame_result import FrameResult
-from starcal_ros.measurements.message_source import MessageBatch, MessageSource
+from starcal_ros.measurements.message_source import MessageSource
 
 _TOLD = 100             # frames between two words of progress
 
 
 def run(calibrator: Calibrator, source: MessageSource,
-        on_progress: Callable[[float], None] = lambda part: None,
-        on_batch: Callable[[MessageBatch], None] = lambda batch: None) -> Iterator[FrameResult]:
+        on_progress: Callable[[float], None] = lambda part: None) -> Iterator[FrameResult]:
     """Give the messages of a run to a calibrator, and what it makes of each frame.
 
     Parameters
@@ -26,12 +25,9 @@ def run(calibrator: Calibrator, source: MessageSource,
         The run.
     on_progress : callable
         Called now and then with the part done, 0 to 1.
-    on_batch : callable
-        Called with each batch before it is given.
     """
     before = 0.0
     for batch in source.batches():
-        on_batch(batch)
         calibrator.add_gyro(batch.gyro)
         calibrator.add_frames(batch.frames)
         n, share = max(calibrator.waiting, 1), batch.done - before

@@ -16,7 +16,6 @@ from starcal_ros.filter import message_pass, noise_search
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.history import History, HistoryKeeper
 from starcal_ros.filter.noise import Noise
-from starcal_ros.measurements.intake import in_gyro_time
 from starcal_ros.measurements.message_source import InMemory, MessageSource
 from starcal_ros.measurements.samples import Frames, GyroSamples
 
@@ -75,8 +74,6 @@ def calibrate_source(source: MessageSource, scenario: Scenario,
     calibrator = Calibrator(scenario, covariance, noise)
     keeper = HistoryKeeper(scenario)
     for frame in message_pass.run(calibrator, source,
-                                  lambda part: told(sought + (1.0 - sought) * part),
-                                  lambda batch: keeper.expect(
-                                      in_gyro_time(batch.frames, scenario))):
+                                  lambda part: told(sought + (1.0 - sought) * part)):
         keeper.add(frame)
     return calibrator, keeper.history(calibrator.noise.factor)

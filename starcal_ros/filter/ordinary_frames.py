@@ -110,6 +110,7 @@ class OrdinaryFrames:
         frames, n = self._frames, len(found.nis)
         rows = slice(self._first[k], self._first[k + n])
         uv_raster, catalog_id = frames.uv_raster[rows], frames.catalog_id[rows]
+        sigma = frames.sigma[rows]
         bounds, results = (self._first[k:k + n + 1] - rows.start).tolist(), []
         for stamp_ns, begin, end, nis, turn, root, *values in zip(
                 frames.stamp_ns[k:k + n].tolist(), bounds, bounds[1:], found.nis.tolist(),
@@ -118,8 +119,8 @@ class OrdinaryFrames:
             after = Belief(belief.nominal.moved(*values), belief.error, root)
             results.append(FrameResult(
                 stamp_ns, after, uv_raster[begin:end], found.residual[begin:end],
-                found.chi2[begin:end], found.accepted[begin:end], catalog_id[begin:end], nis, turn,
-                True, track))
+                found.chi2[begin:end], found.accepted[begin:end], catalog_id[begin:end],
+                sigma[begin:end], nis, turn, True, track))
         return results
 
 

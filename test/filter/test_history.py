@@ -13,6 +13,7 @@ from starcal_ros.core.units import ARCSEC
 from starcal_ros.filter import history
 from starcal_ros.filter.offline import calibrate, calibrate_source
 from starcal_ros.measurements.message_source import InMemory, MessageBatch
+from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.simulation import sensors
 
 RUN = TAN2018.replace({'simulation.duration_s': 120.0, 'gyro.rate_hz': 20.0,
@@ -58,6 +59,18 @@ def test_batches_give_the_numbers_of_all_messages_at_once():
 
 def astuple_of(source):
     return source.gyro, source.frames
+
+
+def test_a_run_that_is_played_again_has_the_rows_of_both():
+    """In a recording of a replay in a loop, or of a simulation that was started twice."""
+    short = RUN.replace({'simulation.duration_s': 20.0})
+    gyro, frames = astuple_of(in_memory(short))
+    _, once = calibrate(gyro, frames, short)
+    again = calibrate(GyroSamples.concatenate([gyro] * 2), Frames.concatenate([frames] * 2),
+                      short)
+    assert again[0].counts.restarts == 1
+    np.testing.assert_array_equal(again[1].stamp_ns, np.tile(once.stamp_ns, 2))
+    np.testing.assert_array_equal(again[1].stars.sigma, np.tile(once.stars.sigma, 2))
 
 
 def test_a_thinned_history_has_rows_of_the_whole_one(monkeypatch):
