@@ -5,9 +5,10 @@
 The log time of a message is its stamp, not the time of its arrival: a run that was simulated at
 twenty times its speed is then played back at its own. The stamp stands in the header, or inside
 (`nodes.base.stamps`). A message without one, or a status with that of a clock that is an hour from
-the run's, gets the newest stamp that came from the same source. A stamp that goes backward gets
-the newest of its topic, so each topic keeps its order of arrival; so does one that is an hour
-ahead, until the next one is, too.
+the run's, gets the newest stamp that came from the same source. A stamp that is late gets the
+newest of its topic, so each topic keeps its order of arrival; so does one that is an hour ahead or
+a second back, until the next one is, too. Where clocks are set back, the log times go on
+(`recorder_channel`).
 
 A topic is subscribed to as soon as somebody publishes it, so that the graph shows no others.
 
@@ -37,7 +38,7 @@ from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.qos import message_type, offered_qos
 from starcal_ros.nodes.base.stamps import is_of_ros, stamp_reader
-from starcal_ros.nodes.recorder_channel import Channel
+from starcal_ros.nodes.recorder_channel import Channel, RunTime
 from starcal_ros.recording.bag_writer import BagWriter
 from starcal_ros.recording.losses import RECORDER, Loss
 from starcal_ros.recording.reader import CONFIG_ATTACHMENT, TRUTH_ATTACHMENT
@@ -75,6 +76,7 @@ class Recorder(ManagedNode):
         """Make the file."""
         options = self.scenario.recorder
         self._channels.clear()
+        self._run = RunTime()
         self._newest_ns: dict[str, int] = {}        # by source
         self._flushed_ns: dict[str, int] = {}       # up to where, by source
         self._n_bytes = 0
@@ -144,7 +146,8 @@ class Recorder(ManagedNode):
             return
         channel = self._channels.setdefault(name, Channel(
             name, topic.type_name, topic.latched, stamp_reader(kind),
-            is_of_ros(kind) or name.endswith(DIAGNOSTICS.name), source or name.rsplit('/', 1)[0]))
+            is_of_ros(kind) or name.endswith(DIAGNOSTICS.name), source or name.rsplit('/', 1)[0],
+            self._run))
         channel.known = set(channel.latest) if topic.latched else set()
         self.listen(topic, lambda batch: self._take(channel, batch))
 

@@ -1,6 +1,12 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One topic that the recorder records: its log times, what is pending, what is missing."""
+"""One topic that the recorder records: its log times, what is pending, what is missing.
+
+The log time of a message is its stamp. Where a clock is set back, as by a replay in a loop or a
+simulation that starts again, the time of the recording goes on: all that follows is moved by as
+much, on all topics alike. Readers go by the log times; laps on top of each other, or a lap in one
+instant, would be a recording of something else.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +22,14 @@ from starcal_ros.recording.qos import Qos
 from starcal_ros.recording.writer import Batch
 
 LATEST = 100                    # latched messages of a publisher that are told from new ones
+_LATE_NS = 10**9                # by which a stamp may be late without being that of a new lap
+
+
+@dataclass
+class RunTime:
+    """The time of a recording: how far the last clock that was set back is behind it [ns]."""
+
+    offset_ns: int = 0
 
 
 @dataclass
@@ -28,9 +42,11 @@ class Channel:
     stamp_ns: Callable[[bytes], int | None]     # of a message
     of_ros: bool            # its stamps are ROS time, not those of the sensors
     source: str             # topics of one source run by one clock
+    run: RunTime = field(default_factory=RunTime)       # of all topics of the recording
     qos: tuple[Qos, ...] = ()
     newest_ns: int = 0
-    is_ahead: bool = False          # the last stamp, far, and not believed
+    offset_ns: int = 0              # of its own stamps behind the time of the recording
+    is_odd: bool = False            # the last stamp, far ahead or back, and not believed
     log_times_ns: list[int | None] = field(default_factory=list)
     own_stamps_ns: list[int] = field(default_factory=list)      # those of its own among them
     messages: list[bytes] = field(default_factory=list)
@@ -59,7 +75,7 @@ class Channel:
             self.known.difference_update(given)
         for stamp_ns in map(self.stamp_ns, batch):
             if self.of_ros or stamp_ns is None:
-                log_time = None if newest_ns is None else near(stamp_ns, newest_ns)
+                log_time = None if newest_ns is None else self._near(stamp_ns, newest_ns)
             else:
                 log_time = self._log_time_ns(stamp_ns)
                 newest_ns = max(newest_ns or 0, log_time)
@@ -74,7 +90,7 @@ class Channel:
         """Hand over the messages since the last flush; those without a time get the first."""
         if self.own_stamps_ns:
             self.gaps.add(self.own_stamps_ns)
-        log_time = [near(self.stamp_ns(message), first_ns) if t is None else t
+        log_time = [self._near(self.stamp_ns(message), first_ns) if t is None else t
                     for t, message in zip(self.log_times_ns, self.messages)]
         batch = Batch(self.name, self.type_name, np.array(log_time, np.int64), self.messages,
                       self.qos)
@@ -82,15 +98,29 @@ class Channel:
         return batch
 
     def _log_time_ns(self, stamp_ns: int) -> int:
-        """Return the log time of the next message."""
-        far = self.newest_ns > 0 and stamp_ns > self.newest_ns + FAR_NS
-        if not far or self.is_ahead:
-            self.newest_ns = max(self.newest_ns, stamp_ns)
-        self.is_ahead = far and not self.is_ahead
+        """Return the log time of the next message, no earlier than that of the one before.
+
+        A stamp far ahead or back is believed when the next one is far, too.
+        """
+        if not self.newest_ns:
+            self.offset_ns, self.newest_ns = self.run.offset_ns, stamp_ns + self.run.offset_ns
+            return self.newest_ns
+        after_ns = {offset: stamp_ns + offset - self.newest_ns
+                    for offset in (self.offset_ns, self.run.offset_ns, 0)}
+        fitting = [offset for offset, ns in after_ns.items() if -_LATE_NS <= ns <= FAR_NS]
+        if fitting:
+            self.offset_ns = min(fitting, key=lambda offset: abs(after_ns[offset]))
+        elif self.is_odd and after_ns[self.offset_ns] < 0:
+            self.offset_ns = self.run.offset_ns = self.newest_ns - stamp_ns
+        if fitting or self.is_odd:
+            self.newest_ns = max(self.newest_ns, stamp_ns + self.offset_ns)
+        self.is_odd = not fitting and not self.is_odd
         return self.newest_ns
 
-
-def near(stamp_ns: int | None, newest_ns: int) -> int:
-    """Return a stamp, or that of the run where there is none or it is of another clock."""
-    far = stamp_ns is None or abs(stamp_ns - newest_ns) > FAR_NS
-    return newest_ns if far else stamp_ns
+    def _near(self, stamp_ns: int | None, newest_ns: int) -> int:
+        """Return a stamp, or that of the run where there is none or it is of another clock."""
+        if stamp_ns is None:
+            return newest_ns
+        log_time = min((stamp_ns, stamp_ns + self.run.offset_ns),
+                       key=lambda each: abs(each - newest_ns))
+        return newest_ns if abs(log_time - newest_ns) > FAR_NS else log_time
