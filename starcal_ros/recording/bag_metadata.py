@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 import yaml
 
-from starcal_ros.files.documents import load_yaml
+from starcal_ros.files.documents import DocumentError, load_yaml
 
 VERSION = 9
 RECORD, KEY = 'rosbag2', 'serialized_metadata'
@@ -41,7 +41,7 @@ class Offer(NamedTuple):
 
 
 def information(parts: Sequence[Part], counts: Mapping[Offer, int],
-                custom: Mapping[str, str]) -> dict[str, Any]:
+                custom: Mapping[str, str], distribution: str = '') -> dict[str, Any]:
     """Return what is told of a recording in MCAP files, in the order of rosbag2.
 
     Parameters
@@ -52,6 +52,8 @@ def information(parts: Sequence[Part], counts: Mapping[Offer, int],
         The number of messages of each topic.
     custom : dict of str
         Texts of our own, by name.
+    distribution : str
+        That of ROS; '' for the one that is set up here.
     """
     spans = [part.span_ns for part in parts if part.span_ns]
     whole = (min(low for low, _ in spans), max(high for _, high in spans)) if spans else None
@@ -68,7 +70,17 @@ def information(parts: Sequence[Part], counts: Mapping[Offer, int],
         'relative_file_paths': [part.name for part in parts],
         'files': [{'path': part.name, **_times(part.span_ns), 'message_count': part.number}
                   for part in parts],
-        'custom_data': dict(custom), 'ros_distro': os.environ.get('ROS_DISTRO', '')}
+        'custom_data': dict(custom),
+        'ros_distro': distribution or os.environ.get('ROS_DISTRO', '')}
+
+
+def distribution(record: Mapping[str, str] | None) -> str:
+    """Return the distribution of ROS that the record of an MCAP file names, '' for none."""
+    try:
+        found = load_yaml((record or {})[KEY])['ros_distro']
+    except (DocumentError, LookupError, TypeError):
+        return ''
+    return found if isinstance(found, str) else ''
 
 
 def dump(told: Mapping[str, Any]) -> str:

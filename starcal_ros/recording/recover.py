@@ -10,7 +10,7 @@ before them, since the chunk that did may be lost.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
@@ -161,7 +161,7 @@ def _one(path: Path, out: Path | None, overwrite: bool) -> Recovered:
         raise OutputExists(f'{original} exists, and would be replaced by what {path.name} is now; '
                            'move it away or overwrite it')
     with whole(out or path, overwrite or out is None) as draft:
-        result = _write(source, draft)
+        result = _write(source, draft, (out or path).name)
         if not result.messages:
             raise RecoveryError(f'{path}: no message can be recovered')
         if out is None:
@@ -173,8 +173,8 @@ def _one(path: Path, out: Path | None, overwrite: bool) -> Recovered:
     return result
 
 
-def _write(source: McapFile, target: Path) -> Recovered:
-    """Write what is whole of a file."""
+def _write(source: McapFile, target: Path, name: str) -> Recovered:
+    """Write what is whole of a file that will have a name."""
     channels = [channel if channel.schema_id in source.schemas else replace(channel, schema_id=0)
                 for channel in source.channels.values()]
     lost_chunks = lost_messages = 0
@@ -202,11 +202,15 @@ def _write(source: McapFile, target: Path) -> Recovered:
         writer.finish_chunk()
         result = Recovered(source.path.name, False, writer.n_chunks, writer.counts.total(),
                            lost_chunks, lost_messages, source.lost_bytes)
-        for name, values in source.metadata.items():
-            if name not in (bag_metadata.RECORD, RECOVERED):
-                writer.add_metadata(name, values)
+        for record, values in source.metadata.items():
+            if record not in (bag_metadata.RECORD, RECOVERED):
+                writer.add_metadata(record, values)
         if result.lost:
             writer.add_metadata(RECOVERED, {'lost': result.lost})
+        told = bag_metadata.information(
+            [Part(name, writer.span_ns, result.messages)],
+            _counts(source, writer.counts), {}, _distribution(source))
+        writer.add_metadata(bag_metadata.RECORD, {bag_metadata.KEY: bag_metadata.dump(told)})
         writer.finish()
     return result
 
@@ -225,15 +229,29 @@ def _metadata(files: Sequence[Path]) -> str:
     """Return the text of the metadata.yaml of files."""
     parts: list[Part] = []
     counts: Counter[Offer] = Counter()
+    distribution = ''
     for file in files:
         source = McapFile(file)
+        distribution = distribution or _distribution(source)
         times = {channel: source.log_times(channel) for channel in source.channels}
-        for channel in source.channels.values():
-            schema = source.schemas.get(channel.schema_id)
-            counts[Offer(channel.topic, schema.name if schema else '', channel.message_encoding,
-                         channel.metadata.get('offered_qos_profiles', ''),
-                         channel.metadata.get('topic_type_hash', ''))] += len(times[channel.id])
+        counts.update(_counts(source, {channel: len(own) for channel, own in times.items()}))
         every = np.concatenate([np.empty(0, np.int64), *times.values()])
         span = (int(every.min()), int(every.max())) if every.size else None
         parts.append(Part(file.name, span, every.size))
-    return bag_metadata.dump_file(bag_metadata.information(parts, counts, {}))
+    return bag_metadata.dump_file(bag_metadata.information(parts, counts, {}, distribution))
+
+
+def _counts(source: McapFile, counts: Mapping[int, int]) -> Counter[Offer]:
+    """Return the number of messages of each topic, of those by the ids of a file."""
+    found: Counter[Offer] = Counter()
+    for channel in source.channels.values():
+        schema = source.schemas.get(channel.schema_id)
+        found[Offer(channel.topic, schema.name if schema else '', channel.message_encoding,
+                    channel.metadata.get('offered_qos_profiles', ''),
+                    channel.metadata.get('topic_type_hash', ''))] += counts.get(channel.id, 0)
+    return found
+
+
+def _distribution(source: McapFile) -> str:
+    """Return the distribution of ROS of a file: rosbag2 writes it when it begins one."""
+    return bag_metadata.distribution(source.metadata.get(bag_metadata.RECORD))

@@ -262,6 +262,25 @@ def test_a_single_file_tells_its_distribution_to_rosbag2(tmp_path, monkeypatch):
     assert (record.name, told['ros_distro'], told['message_count']) == ('rosbag2', 'jazzy', 1020)
 
 
+@pytest.mark.parametrize('known', ['jazzy', ''])
+def test_a_recovered_file_tells_its_distribution_to_rosbag2(tmp_path, monkeypatch, known):
+    """That which it tells where it begins, as rosbag2 writes it, or that of the machine."""
+    path = tmp_path / 'run.mcap'
+    with Writer(path) as writer:
+        if known:
+            writer.note('rosbag2', {'serialized_metadata': f'ros_distro: {known}'})
+        writer.write_imu(GYRO_TOPIC, GYRO)
+    path.write_bytes(path.read_bytes()[:-3000])
+    monkeypatch.setenv('ROS_DISTRO', 'kilted')
+    assert main(['recover', str(path)]) == 0
+    with path.open('rb') as stream:
+        record, = (each for each in make_reader(stream).iter_metadata() if each.name == 'rosbag2')
+    told = yaml.safe_load(record.metadata['serialized_metadata'])
+    assert told['ros_distro'] == (known or 'kilted')
+    assert told['message_count'] == by_rosbags(path)[GYRO_TOPIC] > 0
+    assert told['relative_file_paths'] == ['run.mcap']
+
+
 def test_a_recovered_recording_is_calibrated(tmp_path):
     path = tmp_path / 'run.mcap'
     simulate(TAN2018.replace({'simulation.duration_s': 20.0}), path)
