@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
-import numpy as np
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -167,16 +166,20 @@ def _roles(topics: list[RecordedTopic]) -> dict[str, str]:
 
 
 def _start(bag: Bag, publishers: dict[str, FlowPublisher], player: PlayerConfig) -> int:
-    """Return the log time at which to start [ns]."""
-    log_times = np.concatenate([np.empty(0, np.int64), *map(bag.log_times, publishers)])
-    if not log_times.size:
+    """Return the log time at which to start [ns].
+
+    What is latched may be older by far than the recording: the silence after it is left out.
+    """
+    spans = {name: span for name in publishers if (span := bag.span(name))}
+    if not spans:
         raise RecordError(f'{player.bag} has no message to publish')
-    first, last = int(log_times.min()), int(log_times.max())
+    first, last = min(begin for begin, _ in spans.values()), max(end for _, end in spans.values())
     start_ns = first + round(player.start_offset_s / NS)
     if start_ns > last:
         raise ConfigError(f'player.start_offset_s: got {player.start_offset_s}, {player.bag} '
                           f'lasts {(last - first) * NS:.3f} s')
-    return start_ns
+    return max(start_ns, min((begin for name, (begin, _) in spans.items()
+                              if not publishers[name].latched), default=first))
 
 
 def _items(bag: Bag, publishers: dict[str, FlowPublisher]) -> Iterator[Item]:

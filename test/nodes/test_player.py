@@ -7,11 +7,13 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 rclpy = pytest.importorskip('rclpy')
 
 from builtin_interfaces.msg import Time  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
@@ -20,8 +22,10 @@ from std_srvs.srv import Trigger  # noqa: E402
 from instruments import TAN2018  # noqa: E402
 from peer import LATCHED, PATIENCE_S, Peer  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
+from starcal_ros.measurements.samples import GyroSamples  # noqa: E402
 from starcal_ros.messages.topics import TRUE_PARAMETERS  # noqa: E402
 from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
+from starcal_ros.recording.qos import LATCHED as RECORDED_LATCHED  # noqa: E402
 from starcal_ros.recording.writer import Writer, centroids_batch, imu_batch  # noqa: E402
 from starcal_ros.simulation import sensors  # noqa: E402
 from starcal_ros.simulation.truth import Truth  # noqa: E402
@@ -111,6 +115,22 @@ def test_player_starts_late_loops_pauses_and_tells_the_time(start, peer, folder)
     assert peer.call(Trigger, 'player/resume').message == 'playing'
     peer.until(lambda: len(imus) > count + 10)
     player.send_signal(signal.SIGINT)
+    assert player.wait(PATIENCE_S) == 0
+
+
+def test_latched_messages_of_before_the_recording_hold_up_nobody(start, peer, tmp_path):
+    """A recorder that began an hour after the run has them, with their stamps as log times."""
+    path = tmp_path / 'late.mcap'
+    stamps = START_NS + (3600 + np.arange(20)) * 10**9
+    with Writer(path) as writer:
+        writer.write('/truth/parameters', 'std_msgs/msg/Float64MultiArray',
+                     serialize_message(Float64MultiArray()), START_NS, qos=RECORDED_LATCHED)
+        writer.write_imu('/imu/data_raw', GyroSamples(stamps, np.zeros((20, 3))))
+    imus, truth = peer.listen(Imu, 'imu/data_raw'), peer.listen(
+        Float64MultiArray, 'truth/parameters', LATCHED)
+    player = start('player', '-p', f'player.bag:={path}', '-p', 'player.rate:=20.0',
+                   '-p', 'player.wait_for_subscribers:=1')
+    peer.until(lambda: len(imus) == 20 and truth)
     assert player.wait(PATIENCE_S) == 0
 
 
