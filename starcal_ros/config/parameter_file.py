@@ -74,6 +74,7 @@ def read(text: str, source: str, nodes: Sequence[str] = ('estimator',),
                           f'"{rcl_yaml.PARAMETERS}:" below it')
     if namespace is None:
         namespace = _namespace(sections, nodes, source)
+    errors += _empty(sections)
     prefix = '/' + namespace.strip('/') + '/' if namespace.strip('/') else '/'
     names = [prefix + node for node in nodes]
     values = _joined(sections, names, errors)
@@ -119,7 +120,7 @@ def value(key: str, text: str) -> Any:
             sections, errors = rcl_yaml.read(f'/**: {{{rcl_yaml.PARAMETERS}: {{{key}: {text}}}}}')
     except DocumentError as error:
         raise ConfigError(f'{key}: got {text!r}: {error}') from None
-    if errors or not sections or key not in sections[0].values:
+    if errors or not sections or sections[0].values.get(key, []) == []:
         raise ConfigError(f'{key}: got {text!r}, needs a {parameter.type_name}')
     found = sections[0].values[key]
     if parameter.element is float:
@@ -142,6 +143,22 @@ def parse(text: str, source: str) -> Scenario:
 def load(path: str | Path) -> Scenario:
     """Return the scenario of the estimator from a file, as `read_file` does."""
     return read_file(path).scenario
+
+
+def _empty(sections: Sequence[Section]) -> list[str]:
+    """Leave out empty lists, and return the errors of those that would say something.
+
+    `ros2 param dump` writes them. A node takes one for nothing, which is its default here.
+    """
+    errors = []
+    for section in sections:
+        for key in [key for key, value in section.values.items() if value == []]:
+            del section.values[key]
+            known = parameters().get(key)
+            said = any(each.values.get(key) for each in sections)
+            if known is None or known.default != () or said:
+                errors.append(f'{key}: an empty list has no type in ROS 2, leave it out')
+    return errors
 
 
 def _namespace(sections: Sequence[Section], nodes: Sequence[str], source: str) -> str:

@@ -116,7 +116,7 @@ def _values(node: yaml.MappingNode, prefix: str, errors: list[str]) -> Iterator[
             yield from _one(name, [value], errors)
         elif all(isinstance(item, yaml.ScalarNode) for item in value.value):
             if not value.value:
-                errors.append(f'{name}: an empty list has no type in ROS 2, leave it out')
+                yield name, []
             if items := [item for _, item in _one(name, value.value, errors)]:
                 yield name, items
         else:

@@ -265,16 +265,33 @@ def test_all_errors_of_a_file_are_said_at_once():
       arw_deg_sqrt_h: 0.01
     mounting: {quaternion_xyzw: [0.0, 0.0, 0.0, 0.9]}
     motion: {axes: ['x', 'w'], angles_deg: [1.0]}
-    recorder: {topics: []}
+    intrinsics: {estimate: []}
 """, 'my.yaml')
     head, *lines = str(error.value).split('\n')
     assert head == 'my.yaml: 7 errors:'
     for line, start in zip(lines, (         # not that there is one angle for six axes
-            'gyro: given twice, in line 4 and line 5', 'recorder.topics: an empty list',
+            'gyro: given twice, in line 4 and line 5', 'intrinsics.estimate: an empty list',
             'camera.focal_lenght_mm: unknown parameter; did you mean camera.focal_length_mm?',
             'camera.width: got 8', 'gyro.rate_hz: got 100', "motion.axes: got 'w'",
             'mounting.quaternion_xyzw: got norm 0.9'), strict=True):
         assert line.startswith(f'  {start}')
+
+
+def test_an_empty_list_is_a_list_where_that_is_the_default():
+    """As in what `ros2 param dump` writes; elsewhere a node would take it for its default."""
+    text = """/estimator:
+  ros__parameters:
+    estimator:
+      adapt: []
+      wait_for_nodes: []
+    gyro:
+      rate_hz: 50.0
+"""
+    text += text.replace('/estimator', '/other')
+    assert parameter_file.parse(text, '').flat() == Scenario().replace(
+        {'gyro.rate_hz': 50.0}).flat()
+    with pytest.raises(ConfigError, match='estimator.adapt: an empty list has no type'):
+        parameter_file.parse(HEAD + "    estimator: {adapt: ['arw']}\n" + text, '')
 
 
 @pytest.mark.parametrize('text, said', [
