@@ -197,8 +197,9 @@ def test_colcon_builds_what_ros2_run_and_launch_look_for(colcon, tmp_path, optio
 def test_wheel_installs_what_ros2_run_and_launch_look_for(wheel, tmp_path):
     venv.create(tmp_path, symlinks=True)
     python = tmp_path / 'bin' / 'python'
+    # A workspace, as of colcon test, has the package on the path already.
     run(sys.executable, '-m', 'pip', '--python', python, 'install', '--no-deps', '--no-index',
-        wheel, cwd=tmp_path)
+        '--ignore-installed', wheel, cwd=tmp_path)
     assert_share_is_complete(tmp_path)
     shims = sorted((tmp_path / 'lib' / 'starcal_ros').iterdir())
     assert [shim.name for shim in shims] == sorted(EXECUTABLES)
