@@ -12,7 +12,7 @@ A latched topic (results, truth) is transient local and keeps its last message: 
 comes late would get the oldest first, as `ros2 topic echo --once` showed. `FlowPublisher` waits
 where it would overwrite one that a subscriber has not acknowledged, for one that is overwritten
 is lost. That takes 5 ms, or where the acknowledgement is missed until it is asked for: after 3 s
-by Fast DDS's default, after 100 ms by `config/fastdds.xml`.
+by Fast DDS's default, after 20 ms by `config/fastdds.xml`.
 
 The other side is `matched_subscription`.
 """
