@@ -8,7 +8,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import scipy.special  # noqa: F401 - the first verdict would import it in the middle of a run
 from std_srvs.srv import SetBool, Trigger
 
 from starcal_ros import __version__
