@@ -24,6 +24,8 @@ _ROUNDING = float(np.finfo(np.float32).eps)
 _TINY = 1e-30
 _CUT_PART = 0.05, 0.95           # of a tile's pixels at the least count: the sky is cut off there
 _LEAST_PART = 0.05              # of a tile's pixels, that it has a level of its own
+_STEEP = 0.75                   # of the noise, from tile to tile: what scatters a twentieth more
+_SLOPED = 0.05                  # of a tile's variance that a slope makes; chance makes 0.004
 
 
 class Background(NamedTuple):
@@ -75,15 +77,53 @@ def background(image: Image, step: float | None = None) -> Background:
     seen = tiles[~unknown]
     step = _step(seen) if step is None else step
     level, noise = _clipped(tiles.astype(float), unknown)
+    steep = rows * columns > 1 and _is_steep(*(
+        median_filter(value.reshape(rows, columns), 3, mode='nearest')
+        for value in (level, noise)))
+    if steep:
+        level, noise = _clipped(tiles - _slopes(tiles, unknown, height, width), unknown)
     noise = np.maximum(noise, _cut(tiles, float(seen.min()) + step / 2.0))
     part = 1.0 - unknown.mean(axis=1)
     known = part >= min(_LEAST_PART, float(part.max()))
     nearest = distance_transform_edt(~known.reshape(rows, columns), return_distances=False,
                                      return_indices=True)
-    level, noise = (median_filter(value.reshape(rows, columns)[tuple(nearest)], 3, mode='nearest')
-                    for value in (level, noise))
+    level, noise = (value.reshape(rows, columns)[tuple(nearest)] for value in (level, noise))
+    if steep:           # so that the median leaves a slope as it is, at the edge, too
+        level = median_filter(np.pad(level, 1, 'reflect', reflect_type='odd'), 3)[1:-1, 1:-1]
+    else:
+        level = median_filter(level, 3, mode='nearest')
+    noise = median_filter(noise, 3, mode='nearest')
     least = max(_QUANTISATION * step, _ROUNDING * float(np.abs(seen).max()), _TINY)
-    return Background(_smooth(level, image.shape), _smooth(np.maximum(noise, least), image.shape))
+    return Background(_smooth(level, image.shape, steep),
+                      _smooth(np.maximum(noise, least), image.shape))
+
+
+def _is_steep(level: Array, noise: Array) -> bool:
+    """Tell whether levels differ from those of the tiles beside by more than noise explains."""
+    return any(bool((np.abs(np.diff(level, axis=axis)) > _STEEP * np.minimum(
+        noise.take(range(1, noise.shape[axis]), axis),
+        noise.take(range(noise.shape[axis] - 1), axis))).any()) for axis in (0, 1))
+
+
+def _slopes(tiles: Image, unknown: Mask, height: int, width: int) -> Array:
+    """Return the plane (n, pixels) of each tile, 0 in its middle; 0 of those that are flat."""
+    v, u = (place.ravel() - (size - 1) / 2.0 for place, size in zip(
+        np.mgrid[:height:2, :width:4], (height, width)))
+    axes = np.stack([u, v], axis=1)
+    known = ~unknown
+    off = np.where(known, tiles - _median(tiles.astype(float), np.maximum(
+        known.sum(axis=1, keepdims=True), 1)), 0.0)
+    inside, slope = known, np.zeros((len(tiles), 2))
+    for _ in range(2 * _ROUNDS):
+        rest = off - slope @ axes.T
+        number = np.maximum(inside.sum(axis=1, keepdims=True), 1)
+        mean = (rest * inside).sum(axis=1, keepdims=True) / number
+        spread = np.sqrt(((rest - mean)**2 * inside).sum(axis=1, keepdims=True) / number)
+        inside = known & (np.abs(rest - mean) <= _CLIP_SIGMA * spread)
+        slope = slope + ((rest - mean) * inside) @ axes / np.maximum(inside @ axes**2, 1.0)
+    plane: Array = slope @ axes.T
+    plane[plane.var(axis=1) < _SLOPED * spread[:, 0]**2] = 0.0
+    return plane
 
 
 def _clipped(tiles: Array, unknown: Mask) -> tuple[Array, Array]:
@@ -142,14 +182,24 @@ def _step(values: Image) -> float:
     return float(between.min()) if len(between) else 0.0
 
 
-def _smooth(tiles: NDArray[np.floating[Any]], shape: tuple[int, ...]) -> Image:
-    """Return values of tiles (rows, columns), linear between their centres, for each pixel."""
-    by_row, by_column = (
-        _between(count, size).astype(np.float32) for count, size in zip(tiles.shape, shape))
+def _smooth(tiles: NDArray[np.floating[Any]], shape: tuple[int, ...], beyond: bool = False
+            ) -> Image:
+    """Return values of tiles (rows, columns), linear between their centres, for each pixel.
+
+    Beyond the outer ones they go on straight, if so `beyond`, or stay.
+    """
+    by_row, by_column = (_between(count, size, beyond).astype(np.float32)
+                         for count, size in zip(tiles.shape, shape))
     return by_row @ tiles.astype(np.float32) @ by_column.T
 
 
-def _between(count: int, size: int) -> Array:
+def _between(count: int, size: int, beyond: bool) -> Array:
     """Return the weights (size, count) of `count` tiles in each of `size` pixels."""
-    centre = (np.arange(count) + 0.5) * size / count - 0.5
-    return np.stack([np.interp(np.arange(size), centre, unit) for unit in np.eye(count)], axis=1)
+    centre, pixel = (np.arange(count) + 0.5) * size / count - 0.5, np.arange(size)
+    weight = np.stack([np.interp(pixel, centre, unit) for unit in np.eye(count)], axis=1)
+    if beyond and count > 1:
+        over = (pixel - np.clip(pixel, centre[0], centre[-1])) * count / size
+        step = np.clip(over, None, 0.0), np.clip(over, 0.0, None)
+        weight[:, :2] += step[0][:, None] * [-1.0, 1.0]
+        weight[:, -2:] += step[1][:, None] * [-1.0, 1.0]
+    return weight

@@ -57,6 +57,23 @@ def test_a_sky_that_is_cut_off_keeps_its_stars(cut):
     assert len(centroids.flux) < len(uv) + 5
 
 
+@pytest.mark.parametrize('slope', [(0.25, 0.0), (0.0, -0.5), (1.0, 0.7)])
+def test_the_slope_of_a_sky_is_no_noise(slope):
+    """Light of a town or the Moon: standard deviations of the noise a pixel, along u and v."""
+    uv, counts = sky(3, faintest=5.5)
+    flat, _ = found(counts, uv)
+    unit = float(np.median(background(counts.astype(np.float32)).noise))
+    v, u = np.mgrid[:counts.shape[0], :counts.shape[1]]
+    tilted = counts + unit * (slope[0] * u + slope[1] * v)
+    sloping = background(tilted.astype(np.float32))
+    assert sloping.noise.max() < 1.2 * unit
+    off = sloping.level - (background(counts.astype(np.float32)).level + tilted - counts)
+    assert np.abs(off).max() < 1.5 * unit           # to the edge
+    centroids, distance = found(tilted, uv)
+    assert abs(len(centroids.flux) - len(flat.flux)) <= 3
+    assert np.median(distance.min(axis=0)) < 0.1
+
+
 @pytest.mark.parametrize('value', [0.0, 7.0, 0.1, 1e-9, 1e9])
 def test_a_sky_without_any_noise_has_that_of_its_numbers(value):
     image = np.full((200, 200), value, np.float32)
