@@ -157,14 +157,15 @@ def run(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
         What is written as JSON.
     """
     from starcal_ros.workflows.still_images import pipeline
+    from starcal_ros.workflows.still_images.said import by_text
     conditions = pipeline.Conditions(options.fov, options.epoch, _site(options),
                                      options.aberration,
                                      None if options.utc_offset is None else timezone(
                                          timedelta(hours=options.utc_offset)))
     source = _of_table(options, conditions) if options.centroids else _of_folder(
         options, conditions)
-    for text in (*source.notices, *(f'{name} left out: {why}'
-                                    for name, why in source.left_out.items())):
+    for text in (*source.notices, *(f'{names} left out: {why}'
+                                    for names, why in by_text(source.left_out.items()))):
         say(f'warning: {text}')
     with progress('calibrating') as on_progress:
         first = pipeline.calibrate(source, parameters=given, lens=_lens(options),

@@ -86,6 +86,8 @@ def pictures(path: str | PathLike[str]) -> Iterator[Picture]:
             path.suffix.lower(), f'no image by its name; {KINDS} expected'))
     if path.exists() and not path.is_file():
         raise ImageFileError(f'{path}: no file')    # a pipe would never end
+    if path.exists() and not path.stat().st_size:
+        raise ImageFileError(f'{path}: empty')
     planes = _quiet(read(path))
     count = 0
     while True:
@@ -95,14 +97,22 @@ def pictures(path: str | PathLike[str]) -> Iterator[Picture]:
                 break
             picture = Picture.of(plane)
         except (OSError, LimitError, ImportError, KindError) as error:
-            raise ImageFileError(f'{path}: {" ".join(str(error).split())}') from None
-        except Exception as error:      # Pillow and astropy raise of every kind on damaged files
-            what = ' '.join(f'{type(error).__name__} {error}'.split())
-            raise ImageFileError(f'{path}: damaged: {what}') from None
+            what = getattr(error, 'strerror', None) or str(error)
+            raise ImageFileError(f'{path}: {" ".join(what.split())}') from None
+        except Exception as error:      # libraries raise of every kind on damaged files
+            raise ImageFileError(f'{path}: damaged: {_told(error)}') from None
         count += 1
         yield picture
     if not count:
         raise ImageFileError(f'{path}: no image in it')
+
+
+def _told(error: Exception) -> str:
+    """Return what an error says; of one that is no plain ValueError with its kind."""
+    said = error.args[0] if error.args else ''
+    text = said.decode('utf-8', 'replace') if isinstance(said, bytes) else str(error)
+    kind = '' if type(error) is ValueError else f'{type(error).__name__} '
+    return ' '.join(f'{kind}{text}'.split())
 
 
 def _quiet(planes: Iterator[Plane]) -> Iterator[Plane]:

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images of FITS files, through astropy: packed or not, several units, cubes, mosaics.
 
-FITS counts rows from the bottom unless its header has a ROWORDER of TOP-DOWN. Three planes are
-colours, any other number are so many images. Of several units the first that can be a sky is
-taken.
+FITS counts rows from the bottom unless its header has a ROWORDER of TOP-DOWN. Three planes with
+the same stars are colours, any others are so many images. Of several units the first that can be
+a sky is taken.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, median_filter, uniform_filter
 
 from starcal_ros.files.limits import IMAGE
 from starcal_ros.imaging import exposure_time, fits_scan, focal_hint, mosaic
@@ -38,6 +39,8 @@ _NO_SKY = ('MASK', 'DQ', 'BPM', 'ERR', 'VAR', 'WEIGHT', 'WHT', 'UNCERT', 'FLAG',
 """Beginnings of the names of units that hold something about the pixels of another one."""
 _LEAST_SIDE, _LEAST_LEVELS = 16, 5
 _STAR_SIGMAS, _STAR_PIXELS, _MOST_PIXELS = 10.0, 4, 10_000_000
+_LOOKED_AT, _WIDE_PX, _NEAR_PX = 1024, 15, 5        # of planes that may be colours
+_BRIGHT_PART, _SAME_PART = 0.005, 0.5           # by chance 0.12 are the same
 _UNPACK_S = 120.0
 _UNPACK = """
 import sys
@@ -74,21 +77,39 @@ def read(path: Path) -> Iterator[Plane]:
     taken, pattern = exposure_time.of_fits(header), _pattern(header)
     focal_px = focal_hint.of_fits(header, pixels.shape[-1])
     for plane in _planes(pixels):
-        yield Plane(plane if top_down else plane[::-1], scale, taken, pattern, note,
-                    focal_px)
+        said = [note, 'its three planes show the same stars: they are colours'][:plane.ndim - 1]
+        yield Plane(plane if top_down else plane[::-1], scale, taken, pattern,
+                    ', '.join(filter(None, said)), focal_px)
 
 
 def _planes(pixels: NDArray[Any]) -> Iterator[NDArray[Any]]:
     """Yield the images of an array: planes of colour together, all others one by one."""
     if pixels.ndim > 2 and len(pixels) == 1:
         yield from _planes(pixels[0])
-    elif pixels.ndim == 3 and len(pixels) == 3:
+    elif pixels.ndim == 3 and len(pixels) == 3 and _shows_one_sky(pixels):
         yield np.moveaxis(pixels, 0, -1)
     elif pixels.ndim > 3 or pixels.ndim == 3 and pixels.shape[2] > 4:
         for part in pixels:
             yield from _planes(part)
     else:
         yield pixels
+
+
+def _shows_one_sky(planes: NDArray[Any]) -> bool:
+    """Tell colours (3, height, width) from exposures: what is bright in one is so in the others.
+
+    What is wider than a star, such as a vignette, and single hot pixels are in exposures, too.
+    """
+    top, left = (max(0, (size - _LOOKED_AT) // 2) for size in planes.shape[1:])
+    part = np.nan_to_num(planes[:, top:top + _LOOKED_AT, left:left + _LOOKED_AT].astype(float))
+    bright = []
+    for plane in part:
+        point = median_filter(plane, 3)
+        point -= uniform_filter(point, _WIDE_PX)
+        bright.append(point > np.quantile(point, 1.0 - _BRIGHT_PART))
+    near = [maximum_filter(each, _NEAR_PX) for each in bright]
+    return all(np.count_nonzero(bright[1] & each) >= _SAME_PART * np.count_nonzero(bright[1])
+               for each in (near[0], near[2]))
 
 
 def _sky(path: Path) -> _Unit:

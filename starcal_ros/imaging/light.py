@@ -72,7 +72,7 @@ class Light(NamedTuple):
         unknown = ~(np.abs(counts) < _LARGEST)
         missing = int(np.count_nonzero(unknown))
         if missing > counts.size - _LEAST_PIXELS:
-            raise ValueError(f'image with {missing} pixels that are not numbers')
+            raise ValueError(f'image with {missing} pixels that are masked or not numbers')
         if missing:
             counts[unknown] = np.nan
         sky = background(counts, scale.step)

@@ -17,7 +17,10 @@ PATTERNS = ('RGGB', 'BGGR', 'GRBG', 'GBRG')
 SPACING = 2
 """Pixels of the camera from one of the green image to the next."""
 
+_FALLING, _RISING = ((0, 0), (1, 1)), ((0, 1), (1, 0))      # diagonals of the cell
 _SIGMAS = 8.0           # by which levels differ that are not those of one colour
+_APART, _ALIKE = 1.0, 0.2       # scatters of a pixel, part of that by which the two green differ
+_PIXELS = 20_000        # of each kind that tell its level
 
 
 def green(counts: NDArray[np.float32], pattern: str, top: float) -> NDArray[np.float32]:
@@ -38,21 +41,59 @@ def green(counts: NDArray[np.float32], pattern: str, top: float) -> NDArray[np.f
     """
     height, width = (size // SPACING * SPACING for size in counts.shape)
     cell = counts[:height, :width].reshape(height // 2, 2, width // 2, 2)
-    falling, rising = (cell[:, 0, :, 0], cell[:, 1, :, 1]), (cell[:, 0, :, 1], cell[:, 1, :, 0])
-    by_falling, by_rising = _difference(*falling), _difference(*rising)
+    by_falling, by_rising = (abs(off) * np.sqrt(number) for off, number in (
+        _over(counts, _FALLING[0], (1, 1)), _over(counts, _RISING[0], (1, -1))))
     is_falling = pattern[0] == 'G'
     if max(by_falling, by_rising) > _SIGMAS + 2.0 * min(by_falling, by_rising):
         is_falling = by_falling < by_rising
-    one, other = falling if is_falling else rising
+    one, other = (cell[:, row, :, column] for row, column in (
+        _FALLING if is_falling else _RISING))
     mean: NDArray[np.float32] = (one + other) / np.float32(2.0)
     mean[(one >= top) | (other >= top)] = top
     return mean
 
 
-def _difference(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
-    """Return by how many standard errors the levels of two kinds of pixels differ."""
-    off = (one - other).ravel()[::7].astype(float)
+def pattern_of(counts: NDArray[np.float32]) -> str:
+    """Return the pattern of a mosaic of which a file says nothing; empty where it is none.
+
+    The pixels of a diagonal of the cell have one level, those beside them another. Where that is
+    so of both diagonals, green is the brighter one; which of the others is red is not told.
+
+    Parameters
+    ----------
+    counts : (height, width) float32 array
+        Top row first, NaN where nothing is known.
+    """
+    over = [_over(counts, at, by)[0] for at in _FALLING for by in ((0, 1), (1, 0))]
+    beside = max(map(abs, over))
+    alike = [abs(_over(counts, diagonal[0], by)[0]) < _ALIKE * beside
+             for diagonal, by in ((_FALLING, (1, 1)), (_RISING, (1, -1)))]
+    if beside < _APART or not any(alike):
+        return ''
+    return 'GRBG' if alike[0] and (not alike[1] or sum(over) > 0.0) else 'RGGB'
+
+
+def _over(counts: NDArray[np.float32], at: tuple[int, int], by: tuple[int, int]
+          ) -> tuple[float, int]:
+    """Return by how much pixels of a kind are over those on either side, and of how many.
+
+    It is in units of the scatter of that difference, in which a slope of the sky is nothing.
+
+    Parameters
+    ----------
+    counts : (height, width) float32 array
+        Top row first, NaN where nothing is known.
+    at, by : (int, int)
+        Row and column of the pixel in its cell, and from there to one of the two others.
+    """
+    def moved(down: int, right: int) -> NDArray[np.float32]:
+        rows, columns = (slice(2 + start + step, size - 1 + step, 2) for start, step, size in zip(
+            at, (down, right), counts.shape))
+        part: NDArray[np.float32] = counts[rows, columns].ravel()
+        return part[::max(7, part.size // _PIXELS)].astype(float)
+
+    off = moved(0, 0) - (moved(*by) + moved(-by[0], -by[1])) / 2.0
     off = np.sort(off[np.isfinite(off)])
     off = off[len(off) // 50:len(off) - len(off) // 50]         # without most of the stars
     spread = float(np.std(off)) if len(off) else 0.0
-    return float(abs(np.mean(off)) / spread * np.sqrt(len(off))) if spread > 0.0 else 0.0
+    return (float(np.mean(off)) / spread if spread > 0.0 else 0.0), len(off)

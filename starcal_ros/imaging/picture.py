@@ -30,7 +30,7 @@ class Plane(NamedTuple):
     taken : datetime or None
         When, as `exposure_time` has it.
     pattern : str
-        Colours of a mosaic, as `mosaic` has them; empty where there is none.
+        Colours of a mosaic, as `mosaic` has them; empty where the file tells none.
     note : str
         What a user should know of how the file was taken; mostly empty.
     focal_px : float or None
@@ -98,10 +98,12 @@ class Picture(NamedTuple):
             counts = grey(counts[..., :3], scale.top)       # without alpha
         elif pixels.ndim == 3:
             counts = counts[..., 0]
-        elif plane.pattern:
+        elif pattern := plane.pattern or mosaic.pattern_of(counts):
+            told = (f'the green pixels of {pattern} are measured' if plane.pattern else
+                    'the pixels lie in a mosaic of colours, which the file does not say: the '
+                    'green ones are measured')
             half = None if scale.step is None else scale.step / 2.0
-            return cls(mosaic.green(counts, plane.pattern, scale.top), Scale(scale.top, half),
-                       plane.taken, mosaic.SPACING, ', '.join(filter(None, (
-                           plane.note, f'the green pixels of {plane.pattern} are measured'))),
+            return cls(mosaic.green(counts, pattern, scale.top), Scale(scale.top, half),
+                       plane.taken, mosaic.SPACING, ', '.join(filter(None, (plane.note, told))),
                        plane.focal_px)
         return cls(counts, scale, plane.taken, note=plane.note, focal_px=plane.focal_px)

@@ -30,6 +30,8 @@ _OTHER_BYTE = {';16B': ';16L', ';16L': ';16B', ';16N': f';{_FOREIGN}'}
 """How Pillow has to be told the order of bytes to get, for the upper of two, the lower one."""
 _HEIF = b'heic', b'heix', b'heim', b'heis', b'hevc', b'hevx', b'mif1', b'msf1'
 """What such a file says of itself after its first eight bytes, ....ftyp."""
+_TIFF = b'II*\0', b'MM\0*', b'II+\0', b'MM\0+'
+"""First bytes of such a file, of either order of bytes, of any size."""
 _BITS, _INK, _LAYOUT = 258, 262, 284        # tags of TIFF
 _WHITE_IS_0, _PLANAR = 0, 2
 _PLANES = 'RGBA'
@@ -48,7 +50,7 @@ def read(path: Path) -> Iterator[Plane]:
     if path.suffix.lower() in ('.heic', '.heif') or (       # or whatever it is called
             head[4:8] == b'ftyp' and head[8:] in _HEIF):
         _learn_heif()
-    with _opened(path) as picture:
+    with _opened(path, head) as picture:
         IMAGE.check(picture.width * picture.height, 'an image')
         size, pages = picture.size, getattr(picture, 'n_frames', 1)
         for page in range(pages if picture.format == 'TIFF' else 1):
@@ -62,12 +64,15 @@ def read(path: Path) -> Iterator[Plane]:
                         focal_px=focal_hint.of_exif(exif, *size))
 
 
-def _opened(path: Path) -> Image.Image:
+def _opened(path: Path, head: bytes) -> Image.Image:
     try:
         return Image.open(path)
     except UnidentifiedImageError:
-        raise KindError('cannot identify image: none, or of a kind that is not read, such as '
-                        'floats of three colours: save it as FITS or 16-bit TIFF') from None
+        if head[:4] in _TIFF:
+            raise KindError('TIFF of a kind that is not read, such as floats of three colours, or '
+                            'of 16 or 64 bits: save it as FITS or 16-bit TIFF') from None
+        raise KindError('cannot identify image: what it holds is none, or of a kind that is not '
+                        'read: save it as PNG or 16-bit TIFF') from None
 
 
 def decoded(data: bytes, formats: tuple[str, ...]) -> NDArray[Any]:
@@ -85,7 +90,11 @@ def decoded(data: bytes, formats: tuple[str, ...]) -> NDArray[Any]:
     ValueError, OSError
         Where it can not be read; Pillow raises of other kinds on damaged files.
     """
-    with Image.open(BytesIO(data), formats=formats) as picture:
+    try:
+        picture = Image.open(BytesIO(data), formats=formats)
+    except UnidentifiedImageError:      # which would name a place in memory
+        raise KindError('cannot identify image') from None
+    with picture:
         IMAGE.check(picture.width * picture.height, 'an image')
         with _whole_ones():
             return _pixels(BytesIO(data), picture, 0)[0]

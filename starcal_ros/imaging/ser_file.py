@@ -33,7 +33,7 @@ def read(path: Path) -> Iterator[Plane]:
     Raises
     ------
     ValueError
-        Where it is none, or frames are missing.
+        Where it is none, or ends within the first frame.
     """
     with path.open('rb') as stream:
         head = stream.read(_HEAD.size)
@@ -46,11 +46,13 @@ def read(path: Path) -> Iterator[Plane]:
         channels = 3 if colour in _COLOURS else 1
         kind = np.dtype('u1' if depth <= 8 else '<u2')
         size = width * height * channels * kind.itemsize
-        whole = path.stat().st_size
-        if whole < _HEAD.size + count * size:
+        whole, note = (path.stat().st_size - _HEAD.size) // size, ''
+        if not whole:
             raise ValueError(f'cut short: {count} frames of {size} bytes are announced')
+        if whole < count:
+            count, note = whole, f'cut short: the first {whole} of {count} frames are there'
         stream.seek(_HEAD.size + count * size)
-        times = np.frombuffer(stream.read(8 * count), '<i8')
+        times = np.frombuffer(b'' if note else stream.read(8 * count), '<i8')
         for k in range(count):
             stream.seek(_HEAD.size + k * size)
             pixels = np.frombuffer(stream.read(size), kind).reshape(height, width, channels)
@@ -58,7 +60,7 @@ def read(path: Path) -> Iterator[Plane]:
             full = 2.0**depth - 1.0
             scale = Scale(full if pixels.max() <= full else float(np.iinfo(kind).max), 1.0)
             yield Plane(pixels[..., _COLOURS[colour]] if channels == 3 else pixels[..., 0], scale,
-                        _time(times, k), _PATTERNS.get(colour, ''))
+                        _time(times, k), _PATTERNS.get(colour, ''), note)
 
 
 def _in_order(pixels: NDArray[np.generic]) -> NDArray[np.generic]:

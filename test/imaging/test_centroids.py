@@ -305,7 +305,7 @@ def test_the_brightest_spots_are_kept_first():
 @pytest.mark.parametrize('image, text', [
     (np.zeros((8, 100)), r'image of shape \(8, 100\)'),
     (np.zeros((64, 64, 3)), r'image of shape \(64, 64, 3\)'),
-    (np.full((64, 64), np.nan), '4096 pixels that are not numbers')])
+    (np.full((64, 64), np.nan), '4096 pixels that are masked or not numbers')])
 def test_an_impossible_image_is_refused(image, text):
     with pytest.raises(ValueError, match=text):
         extract(image, CentroidConfig())

@@ -96,7 +96,7 @@ def test_what_a_name_does_not_tell(tmp_path, monkeypatch):
     with pytest.raises(ImageFileError, match='to read HEIC, pillow-heif is needed'):
         load(tmp_path / 'a.jpg')
     (tmp_path / 'b.tif').write_bytes(b'anything')
-    with pytest.raises(ImageFileError, match='floats of three colours: save it as FITS or 16-bit'):
+    with pytest.raises(ImageFileError, match='or of a kind that is not read: save it as PNG'):
         load(tmp_path / 'b.tif')
 
 
@@ -188,6 +188,11 @@ def test_a_film_is_its_frames(tmp_path, order):
 def test_a_film_in_colours_and_one_that_is_none(tmp_path):
     ser(tmp_path / 'a.ser', [COLOUR[..., ::-1]], colour=101)
     np.testing.assert_allclose(load(tmp_path / 'a.ser').counts, GREY, rtol=1e-6)
+    ser(tmp_path / 'b.ser', [SKY, SKY + 1, SKY], stamps=(1, 2, 3))
+    (tmp_path / 'b.ser').write_bytes((tmp_path / 'b.ser').read_bytes()[:-4000])
+    one, two = pictures(tmp_path / 'b.ser')
+    np.testing.assert_array_equal(two.counts, SKY + 1)
+    assert one.note == 'cut short: the first 2 of 3 frames are there' and one.taken is None
     ser(tmp_path / 'b.ser', [SKY])
     (tmp_path / 'b.ser').write_bytes((tmp_path / 'b.ser').read_bytes()[:4000])
     with pytest.raises(ImageFileError, match='cut short: 1 frames of 6144 bytes'):
@@ -251,6 +256,63 @@ def test_a_raw_file_is_a_mosaic(tmp_path, monkeypatch):
     np.testing.assert_allclose(picture.counts, (SKY[::2, 1::2] / 2.0 + SKY[1::2, ::2] / 2.0))
     assert picture.spacing == 2 and picture.scale == (15000.0, 0.5)
     assert picture.shape == SKY.shape and 'green pixels of RGGB' in picture.note
+
+
+@pytest.mark.parametrize('level', [(0.5, 1.0, 1.0, 0.7), (1.0, 0.5, 0.7, 1.0),
+                                   (0.5, 1.0, 1.0, 0.5)])
+def test_a_mosaic_of_which_the_file_says_nothing_shows_itself(tmp_path, level):
+    """As programs write raw frames, and as images without colours are not."""
+    sky = SKY * np.tile(np.reshape(level, (2, 2)), (24, 32))
+    Image.fromarray(sky.astype(np.uint16)).save(tmp_path / 'a.tif')
+    picture = load(tmp_path / 'a.tif')
+    green = ((SKY[::2, ::2] / 2.0 + SKY[1::2, 1::2] / 2.0) if level[0] == 1.0
+             else SKY[::2, 1::2] / 2.0 + SKY[1::2, ::2] / 2.0)
+    np.testing.assert_allclose(picture.counts, green)
+    assert picture.spacing == 2 and 'which the file does not say' in picture.note
+
+
+@pytest.mark.parametrize('pixels', [
+    SKY, SKY + 30 * (np.arange(64) % 2), SKY + 30 * (np.arange(48) % 2)[:, None],
+    SKY // 300, np.zeros_like(SKY),
+    SKY + np.add.outer(20.0 * np.arange(48), 20.0 * np.arange(64))],
+    ids=['sky', 'columns', 'rows', 'few', 'black', 'slope'])
+def test_what_is_no_mosaic_is_not_taken_for_one(tmp_path, pixels):
+    """Columns that are read by two amplifiers are of two levels, too."""
+    Image.fromarray(pixels.astype(np.uint16)).save(tmp_path / 'a.png')
+    assert load(tmp_path / 'a.png').spacing == 1
+
+
+def test_three_exposures_are_not_colours(tmp_path):
+    rng, planes = np.random.default_rng(2), []
+    for _ in range(3):
+        plane = rng.normal(300.0, 12.0, (96, 128)) + np.linspace(0.0, 900.0, 128)
+        for u, v in rng.integers(4, 92, (12, 2)):
+            plane[v - 1:v + 2, u - 1:u + 2] += 800.0
+        plane[::17, ::19] = 5000.0                      # hot pixels
+        planes.append(plane.astype(np.uint16))
+    fits.PrimaryHDU(np.stack(planes)).writeto(tmp_path / 'a.fits')
+    assert len(list(pictures(tmp_path / 'a.fits'))) == 3
+    colours = [planes[0], planes[0] + 70, planes[0] // 2]
+    fits.PrimaryHDU(np.stack(colours)).writeto(tmp_path / 'b.fits')
+    picture, = pictures(tmp_path / 'b.fits')
+    assert picture.note == 'its three planes show the same stars: they are colours'
+
+
+@pytest.mark.parametrize('name, head, said', [
+    ('a.png', b'', 'a.png: empty'), ('a.fits', b'', 'a.fits: empty'),
+    ('a.tif', b'II*\0' + bytes(100), 'TIFF of a kind that is not read, such as floats'),
+    ('a.jpg', b'<html>', 'none, or of a kind that is not read: save it as PNG'),
+    ('a.fits', b'SIMPLX' + bytes(100), 'damaged: not FITS: it does not begin')])
+def test_what_is_no_image_is_said_in_plain_words(tmp_path, name, head, said):
+    (tmp_path / name).write_bytes(head)
+    with pytest.raises(ImageFileError, match=said) as caught:
+        load(tmp_path / name)
+    assert 'Error' not in str(caught.value) and str(caught.value).count(name) == 1
+
+
+def test_a_missing_image_is_said_in_plain_words(tmp_path):
+    with pytest.raises(ImageFileError, match='a.png: No such file or directory$'):
+        load(tmp_path / 'a.png')
 
 
 @pytest.mark.parametrize('order', [None, 'TOP-DOWN', 'BOTTOM-UP'])

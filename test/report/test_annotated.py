@@ -78,7 +78,7 @@ def test_images_that_are_left_out_are_drawn_with_the_reason(drawn, folder):
     assert ' stars, 0 refused, of ' in captions['0.png']
     for _, _, data in shown:
         assert len(data) < 300_000 and max(Image.open(BytesIO(b64decode(data))).size) <= 800
-    assert 'image with 307200 pixels that are not numbers' in page
+    assert 'image with 307200 pixels that are masked or not numbers' in page
 
 
 def test_a_folder_of_which_nothing_can_be_used_is_drawn(tmp_path, capsys):

@@ -81,7 +81,8 @@ def test_a_mosaic_gives_the_camera_whatever_the_colours_of_the_stars(tmp_path, c
     for key in ('f_px', 'u0_px', 'v0_px', 'k1'):
         assert abs(found[key] - TRUE[key]) < 4.0 * found['sigma'][key], key
     assert found['sigma']['f_px'] < 0.8
-    assert '0.fits: the green pixels of RGGB are measured' in capsys.readouterr().err
+    assert ('0.fits, 1.fits, 2.fits, 3.fits: the green pixels of RGGB are measured'
+            in capsys.readouterr().err), 'once'
 
 
 def test_planes_of_a_cube_are_images(tmp_path, capsys):

@@ -28,10 +28,10 @@ from starcal_ros.files.output import whole
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.workflows.still_images.measured import Measured, measure
 from starcal_ros.workflows.still_images.repeated import COPY, originals
+from starcal_ros.workflows.still_images.said import by_text, listed
 from starcal_ros.workflows.still_images.search import StarImage, StarSearch
 
 _ZOOM = 1.03            # focal lengths that differ by more are those of two cameras
-_NAMED = 5              # files that a message names, at most
 
 
 class NoStarsError(ValueError):
@@ -164,10 +164,10 @@ def _overridden(images: Sequence[Measured], epoch_utc: str | None, zone: tzinfo 
     """Say where what the user states takes the place of what the files say."""
     if epoch_utc is not None:
         if told := [image.name for image in images if image.taken]:
-            yield f'--epoch takes the place of the times of {_listed(told)}'
+            yield f'--epoch takes the place of the times of {listed(told)}'
     elif zone is not None:
         if told := [image.name for image in images if image.taken and image.taken.tzinfo]:
-            yield f'--utc-offset takes the place of the zone that {_listed(told)} state'
+            yield f'--utc-offset takes the place of the zone that {listed(told)} state'
 
 
 def _by_focal_length(images: list[StarImage]) -> list[list[StarImage]]:
@@ -215,9 +215,4 @@ def write_table(path: str | PathLike[str], images: Sequence[StarImage], heldout:
 
 
 def _reasons(left_out: dict[str, str]) -> str:
-    return _listed([f'{name}: {why}' for name, why in sorted(left_out.items())], '; ')
-
-
-def _listed(texts: list[str], between: str = ', ') -> str:
-    more = len(texts) - _NAMED
-    return between.join(texts[:_NAMED]) + (f'{between}and {more} more' if more > 0 else '')
+    return listed([f'{names}: {why}' for names, why in by_text(sorted(left_out.items()))], '; ')

@@ -23,6 +23,7 @@ from starcal_ros.imaging.picture import Picture
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.recording import stills
 from starcal_ros.recording.bag_files import METADATA
+from starcal_ros.workflows.still_images.said import by_text
 
 _WORTH_S = 6.0          # of measuring that are left, for which workers are started
 _MOST_AT_ONCE = 8       # files: an image of 24 Mpx takes some 0.5 GB
@@ -78,6 +79,10 @@ class MeasuredFolder:
     notices: list[str] = field(default_factory=list)
 
 
+_OfFile = tuple[MeasuredFolder, list[tuple[str, str]]]
+"""What a file holds, and its name with each note."""
+
+
 def measure(folder: str | PathLike[str], config: CentroidConfig, mask: NDArray[np.bool_] | None,
             on_progress: Callable[[float], None]) -> MeasuredFolder:
     """Find the spots in the images of a folder.
@@ -100,16 +105,18 @@ def measure(folder: str | PathLike[str], config: CentroidConfig, mask: NDArray[n
     """
     found = MeasuredFolder()
     paths = [Path(folder)] if is_recording(folder) else image_files(folder)
-    for k, part in enumerate(_parts(paths, config, mask), start=1):
+    notes: list[tuple[str, str]] = []
+    for k, (part, said) in enumerate(_parts(paths, config, mask), start=1):
         found.images.extend(part.images)
         found.left_out.update(part.left_out)
-        found.notices.extend(part.notices)
+        notes.extend(said)
         on_progress(k / len(paths))
+    found.notices.extend(f'{names}: {note}' for names, note in by_text(notes))
     return found
 
 
 def _parts(paths: Sequence[Path], config: CentroidConfig, mask: NDArray[np.bool_] | None
-           ) -> Iterator[MeasuredFolder]:
+           ) -> Iterator[_OfFile]:
     """Yield what each file gives, in their order; several at once where that saves time."""
     done, begin = 0, perf_counter()
     while done < len(paths):
@@ -179,7 +186,7 @@ def _masked(picture: Picture, mask: NDArray[np.bool_] | None) -> Picture:
 
 
 def _measure_file(path: Path, config: CentroidConfig, mask: NDArray[np.bool_] | None
-                  ) -> MeasuredFolder:
+                  ) -> _OfFile:
     found = MeasuredFolder()
     planes: list[Measured | str] = []
     notes: set[str] = set()
@@ -206,5 +213,4 @@ def _measure_file(path: Path, config: CentroidConfig, mask: NDArray[np.bool_] | 
             found.images.append(replace(plane, name=name))
     if several:
         notes.add(f'{len(planes)} images, each taken as one')
-    found.notices.extend(f'{path.name}: {note}' for note in sorted(filter(None, notes)))
-    return found
+    return found, [(path.name, note) for note in sorted(filter(None, notes))]
