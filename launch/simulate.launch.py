@@ -27,10 +27,15 @@ def generate_launch_description() -> LaunchDescription:
             'simulation.real_time_factor':
             ParameterValue(LaunchConfiguration('real_time_factor'), value_type=float)}
 
-    def listeners(with_images: list[str], without: list[str]) -> dict[str, ParameterValue]:
-        return {'simulation.wait_for_nodes': ParameterValue(PythonExpression(
-            [f"{with_images} if '", images, f"'.lower() in ('true', '1') else {without}"]),
+    def listeners(group: str, with_images: list[str], without: list[str]
+                  ) -> dict[str, ParameterValue]:
+        return {f'{group}.wait_for_nodes': ParameterValue(PythonExpression(
+            [f"({with_images} if '", images, f"'.lower() in ('true', '1') else {without}) + '",
+             LaunchConfiguration('wait_for'), "'.replace(',', ' ').split()"]),
             value_type=list[str])}
+
+    def always(group: str, *names: str) -> dict[str, ParameterValue]:
+        return listeners(group, [*names], [*names])
 
     output = {'recorder.output': ParameterValue(LaunchConfiguration('output'), value_type=str)}
     autostart = {'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}
@@ -38,16 +43,14 @@ def generate_launch_description() -> LaunchDescription:
 
     def estimator(condition: IfCondition | UnlessCondition, *more: dict[str, bool]) -> Node:
         return Node(executable='estimator', **each, condition=condition, remappings=tf,
-                    parameters=[config, autostart, {'estimator.wait_for_nodes': ['recorder']},
-                                *more])
+                    parameters=[config, autostart, always('estimator', 'recorder'), *more])
 
     others = [
         Node(executable='centroid_extractor', **each, condition=IfCondition(images),
-             parameters=[config, autostart, {'centroid_extractor.wait_for_nodes': [
-                 'star_identifier', 'recorder']}]),
+             parameters=[config, autostart, always(
+                 'centroid_extractor', 'star_identifier', 'recorder')]),
         Node(executable='star_identifier', **each, condition=IfCondition(images),
-             parameters=[config, autostart, {'star_identifier.wait_for_nodes': [
-                 'estimator', 'recorder']}]),
+             parameters=[config, autostart, always('star_identifier', 'estimator', 'recorder')]),
         # The sigma of a centroid that is extracted holds the trail of a moving star already.
         estimator(UnlessCondition(images)),
         estimator(IfCondition(images), {'star_tracker.smear': False}),
@@ -56,10 +59,11 @@ def generate_launch_description() -> LaunchDescription:
     sources = [
         Node(executable='star_tracker_sim', **each,
              parameters=[config, pace, listeners(
-                 ['centroid_extractor', 'recorder'], ['estimator', 'recorder'])]),
+                 'simulation', ['centroid_extractor', 'recorder'], ['estimator', 'recorder'])]),
         Node(executable='gyro_sim', **each,
              parameters=[config, pace, listeners(
-                 ['estimator', 'star_identifier', 'recorder'], ['estimator', 'recorder'])]),
+                 'simulation', ['estimator', 'star_identifier', 'recorder'],
+                 ['estimator', 'recorder'])]),
     ]
     return LaunchDescription([
         DeclareLaunchArgument(
@@ -75,6 +79,10 @@ def generate_launch_description() -> LaunchDescription:
             'images', default_value='false',
             description='Whether the star tracker delivers images, whose stars are then extracted '
             'and identified; the recording has the images as well, 4 MB a second'),
+        DeclareLaunchArgument(
+            'wait_for', default_value='',
+            description='Nodes beside its own that the run waits for, which listen to all topics: '
+            'rosbag2_recorder, or /rosbag2_recorder from a namespace, for ros2 bag record --all'),
         DeclareLaunchArgument(
             'namespace', description='Namespace of all nodes and topics, /tf_static included',
             default_value=''),

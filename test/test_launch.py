@@ -163,12 +163,14 @@ def test_one_estimator_runs_and_counts_the_trail_of_a_star_once(entities, with_i
     assert given.get('star_tracker.smear', True) is not with_images
 
 
-def value_of(value, images):
-    """Return a parameter, where `images` decides about it, for one choice."""
+def value_of(value, images, wait_for=''):
+    """Return a parameter, where `images` and `wait_for` decide about it, for one choice."""
     if not isinstance(value, Call):
         return value
     expression = next(found(value, 'PythonExpression')).args[0]
-    return eval(''.join(images if isinstance(part, Call) else part for part in expression))
+    given = {'images': images, 'wait_for': wait_for}
+    return eval(''.join(given[part.args[0]] if isinstance(part, Call) else part
+                        for part in expression))
 
 
 @pytest.mark.parametrize('images', ['false', 'true', 'True', '1'])
@@ -190,6 +192,17 @@ def test_nothing_is_missed_at_the_beginning(entities, images):
                  'centroid_extractor': {'star_identifier'}}
     for name in nodes.keys() & listeners.keys():
         assert waits[name] == listeners[name] | recorders, name
+
+
+@pytest.mark.parametrize('entities', [TOP / 'launch' / 'simulate.launch.py'], indirect=True)
+@pytest.mark.parametrize('wait_for', ['rosbag2_recorder', '/rosbag2_recorder, logger'])
+def test_all_that_speak_wait_for_others_that_are_named(entities, wait_for):
+    waits = [value for node in of(entities, 'Node') for given in node.kwargs['parameters'][1:]
+             for key, value in given.items() if key.endswith('wait_for_nodes')]
+    assert len(waits) == 6          # all but the recorder; the estimator stands there twice
+    for value in waits:
+        assert set(value_of(value, 'true', wait_for)) - set(value_of(value, 'true')) == set(
+            wait_for.replace(' ', '').split(','))
 
 
 class Event:

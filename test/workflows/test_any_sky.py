@@ -65,24 +65,15 @@ def test_a_wide_field_is_found_without_a_word(images):
     assert is_right(found, true) and found['counts']['images'] == 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('field_deg', [90.0, 100.0])
-def test_a_very_wide_field_is_found_without_a_word(images, field_deg):
+@pytest.mark.parametrize('field_deg, words', [
+    *(pytest.param(deg, [], marks=pytest.mark.slow) for deg in (90.0, 100.0)),
+    (110.0, ['--fov', '115']), (120.0, ['--fov', '120'])])
+def test_very_wide_fields_are_found_beyond_100_deg_where_they_are_stated(images, field_deg, words):
     true = {**TRUE, 'f_px': 320.0 / np.tan(np.radians(field_deg / 2.0)), 'k1': -0.02, 'k2': 0.0}
     eye = Camera(true=true, least_cosine=0.3, zero_point_electrons_s=1e5)
     for k in range(2):
         save(images / f'{k}.png', eye.towards())
-    _, found = run(images)
-    assert is_right(found, true) and found['counts']['images'] == 2
-
-
-@pytest.mark.parametrize('field_deg', [110.0, 120.0])
-def test_the_widest_fields_are_found_where_they_are_stated(images, field_deg):
-    true = {**TRUE, 'f_px': 320.0 / np.tan(np.radians(field_deg / 2.0)), 'k1': -0.02, 'k2': 0.0}
-    eye = Camera(true=true, least_cosine=0.3, zero_point_electrons_s=1e5)
-    for k in range(2):
-        save(images / f'{k}.png', eye.towards())
-    _, found = run(images, '--fov', str(1.05 * field_deg if field_deg < 115.0 else field_deg))
+    _, found = run(images, *words)
     assert is_right(found, true) and found['counts']['images'] == 2
 
 
