@@ -93,6 +93,8 @@ def background(image: Image, step: float | None = None) -> Background:
     else:
         level = median_filter(level, 3, mode='nearest')
     noise = median_filter(noise, 3, mode='nearest')
+    if steep:
+        noise = np.hypot(noise, _bend(level))
     least = max(_QUANTISATION * step, _ROUNDING * float(np.abs(seen).max()), _TINY)
     return Background(_smooth(level, image.shape, steep),
                       _smooth(np.maximum(noise, least), image.shape))
@@ -103,6 +105,17 @@ def _is_steep(level: Array, noise: Array) -> bool:
     return any(bool((np.abs(np.diff(level, axis=axis)) > _STEEP * np.minimum(
         noise.take(range(1, noise.shape[axis]), axis),
         noise.take(range(noise.shape[axis] - 1), axis))).any()) for axis in (0, 1))
+
+
+def _bend(level: Array) -> Array:
+    """Return by how much a level may leave the straight lines between its tiles (rows, columns).
+
+    Of the second difference from tile to tile, a smooth level leaves them by an eighth; one with a
+    corner, as at the edge of a cloud or a horizon, by up to a half.
+    """
+    around = np.pad(level, 1, 'reflect', reflect_type='odd')
+    return (np.abs(np.diff(around, 2, axis=0)[:, 1:-1])
+            + np.abs(np.diff(around, 2, axis=1)[1:-1])) / 2.0
 
 
 def _slopes(tiles: Image, unknown: Mask, height: int, width: int) -> Array:

@@ -74,6 +74,19 @@ def test_the_slope_of_a_sky_is_no_noise(slope):
     assert np.median(distance.min(axis=0)) < 0.1
 
 
+@pytest.mark.parametrize('top, height_px', [(30.0, 60.0), (100.0, 15.0)])
+def test_the_glow_over_a_horizon_is_no_crowd_of_stars(top, height_px):
+    """Its level bends within a tile: planes, and lines between the tiles, do not follow it."""
+    uv, counts = sky(3, faintest=5.5)
+    unit = float(np.median(background(counts.astype(np.float32)).noise))
+    v = np.arange(len(counts))[:, None]
+    glow = top * np.exp(np.minimum(v - 215.0, 0.0) / height_px)
+    scatter = np.random.default_rng(9).normal(0.0, 0.4 * np.sqrt(glow), counts.shape)
+    centroids, distance = found(counts + unit * (glow + scatter), uv)
+    assert len(centroids.flux) <= len(uv) + 3
+    assert (distance.min(axis=0) < 0.5).mean() > 0.95
+
+
 @pytest.mark.parametrize('value', [0.0, 7.0, 0.1, 1e-9, 1e9])
 def test_a_sky_without_any_noise_has_that_of_its_numbers(value):
     image = np.full((200, 200), value, np.float32)
