@@ -45,8 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     images = parser.add_argument_group(
         'still images, in a folder or in a table', 'The default of --method is bundle.')
     images.add_argument('--fov', metavar='DEG', type=float,
-                        help='field of view across the width, for IMAGES to 10 %%; default: found '
-                        'from the file (EXIF, FITS), or from the stars (1 to 105 deg)')
+                        help='field of view across the width, for IMAGES to 10 %%, beyond 120 '
+                        'deg that of a fisheye; default: found from the file (EXIF, FITS), or '
+                        'from the stars (1 to 105 deg, and fisheyes)')
     images.add_argument('--lens', choices=_LENSES, metavar='NAME',
                         help=f'lens model of the method bundle ({", ".join(_LENSES)}); auto: that '
                         'which predicts stars best; default: plumb_bob')

@@ -8,10 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from starcal_ros.core.arrays import Array
+from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.lenses.model import LensModel
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 
-_OFF_CENTRE = 0.03      # principal point, parts of the width: a lens seldom sits better
+OFF_CENTRE = 0.03
+"""Principal point, parts of the width: a lens seldom sits better."""
+
 _RADIAL = 0.01          # what k1 and k2 each move the corner, parts of its distance
 _TANGENTIAL = 0.002     # the same of p1 and p2
 
@@ -24,9 +28,9 @@ class CameraGuess:
     ----------
     detector : Detector
         Its pixels. Where their pitch is unknown, 1 mm does: all mm are then pixels.
-    intrinsics : (7,) array
-        As in `starcal_ros.core.camera`.
-    covariance : (7, 7) array
+    intrinsics : (p,) array
+        Values of the lens model, here T18's: as in `starcal_ros.core.camera`.
+    covariance : (p, p) array
         Of their errors; zero for one that is known.
     """
 
@@ -54,7 +58,7 @@ class CameraGuess:
             raise ValueError(f'error {error} of the focal length: 0 to below 1 expected, '
                              '0.1 is 10 %')
         corner_mm = detector.pitch_mm * np.hypot(detector.width, detector.height) / 2.0
-        off_centre = _OFF_CENTRE * detector.width
+        off_centre = OFF_CENTRE * detector.width
         radial, tangential = _RADIAL / corner_mm**2, _TANGENTIAL / corner_mm
         sigma = np.array([off_centre, off_centre, 0.5 * error * focal_length_mm,
                           radial, radial / corner_mm**2, tangential, tangential])
@@ -76,6 +80,20 @@ class CameraGuess:
         width_mm = detector.width * detector.pitch_mm
         short, long = width_mm / (2.0 * np.tan(np.radians([high_deg, low_deg]) / 2.0))
         return cls.of_focal_length(detector, (short + long) / 2.0, (long - short) / (long + short))
+
+    @property
+    def lens(self) -> LensModel:
+        """Model of the lens."""
+        return Tan2018Lens(self.detector.pitch_mm)
+
+    @property
+    def seen(self) -> Detector:
+        """Detector of a pinhole on which patterns are looked for."""
+        return self.detector
+
+    def flattened(self, uv: Array) -> tuple[Ints, Array]:
+        """Return which spots (n, 2) fall on `seen`, and where (m, 2), from its centre [px]."""
+        return np.arange(len(uv)), uv
 
     @property
     def focal_range_px(self) -> tuple[float, float]:

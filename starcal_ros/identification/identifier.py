@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from starcal_ros.core import camera, kalman, robust, rotation
+from starcal_ros.core import kalman, robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.identification import blending, patterns
 from starcal_ros.identification.camera_guess import CameraGuess
@@ -35,7 +35,7 @@ MIN_STARS = 3
 """Stars that are needed to track; a search needs four."""
 
 _FIRST_SIGMA_PX = 1.0   # as MODEL_SIGMA_PX, before the camera is fitted
-_ROUNDS = 5
+_ROUNDS = 15
 _CHANCE_SEARCHED, _CHANCE_TRACKED = 1e-6, 1e-4
 _FIX_STARS = 2          # stars that an attitude found by searching is made of
 _STARS_PER_SPOT, _SPARE_STARS = 3, 20    # how deep in the catalogue the spots are looked for
@@ -44,6 +44,7 @@ _PHOTOMETRIC_STARS = 5
 _BLEND_SIGMAS, _BLEND_PX = 0.5, 0.05     # shift by other stars of a spot that gets a name
 _WORST_SIGMA_PX = 1.0   # stated of a spot that may get a name
 _SCALE_SIGMA = 0.02     # of the focal length that a pattern gives
+_TOLD = 0.02            # of the width, to which a star's place is known that is looked for
 _CAMERA_DRIFT = 0.01    # of its first sigma, what the camera may change by from frame to frame
 
 
@@ -123,7 +124,7 @@ class Identifier:
         ImportError
             Where tetra3rs is missing.
         """
-        patterns.prepare(self._guess.detector, self._guess.focal_range_px,
+        patterns.prepare(self._guess.seen, self._guess.focal_range_px,
                          self._limiting_magnitude)
 
     def identify(self, uv_raster: Array, flux: Array, stamp_ns: int,
@@ -174,13 +175,13 @@ class Identifier:
     def _without_blends(self, found: Identification, stamp_ns: int, sigma: ArrayLike
                         ) -> Identification:
         """Take the names off the spots that other stars shift by much of their sigma."""
-        pitch_mm = self._guess.detector.pitch_mm
-        field = self._sky.on(self._guess.detector, found.view.C_si, found.view.intrinsics,
+        lens = self._guess.lens
+        field = self._sky.on(self._guess.detector, lens, found.view.C_si, found.view.intrinsics,
                              stamp_ns, _STARS_PER_SPOT * len(found.catalog_id) + _SPARE_STARS)
         # A frame that had to be searched for may be of a camera that was set down anew.
         rate = self._rate if found.tracked and self._rate is not None else np.zeros(3)
         turned = rotation.exp(rate * self._exposure_s)
-        begin, end = (camera.project(field.u_i @ C_si.T, found.view.intrinsics, pitch_mm)
+        begin, end = (lens.project(field.u_i @ C_si.T, found.view.intrinsics)
                       for C_si in (found.view.C_si, turned @ found.view.C_si))
         spot = np.flatnonzero(np.isin(found.catalog_id, field.hip))
         order = np.argsort(field.hip)
@@ -204,27 +205,27 @@ class Identifier:
         ImportError
             Where tetra3rs is missing.
         """
-        spots = self._spots(uv_raster, flux, sigma)
-        detector = self._guess.detector
-        found = patterns.search(spots.uv, spots.flux, detector, self._guess.focal_range_px,
+        spots, guess = self._spots(uv_raster, flux, sigma), self._guess
+        seen, uv = guess.flattened(spots.uv)
+        found = patterns.search(uv, spots.flux[seen], guess.seen, guess.focal_range_px,
                                 self._limiting_magnitude)
         if found is None:
             return None
         if found.mirrored:
             raise MirroredError('the stars match in the mirror only: flip the image, top to '
                                 'bottom or left to right')
-        intrinsics, covariance = self._guess.intrinsics.copy(), self._guess.covariance.copy()
-        intrinsics[2] = found.focal_px * detector.pitch_mm
+        intrinsics, covariance = guess.intrinsics.copy(), guess.covariance.copy()
+        intrinsics[2] = found.focal_px * guess.detector.pitch_mm
         covariance[2, :] = covariance[:, 2] = 0.0
         covariance[2, 2] = (_SCALE_SIGMA * intrinsics[2])**2
-        uv, u_i = spots.uv[found.spot], self._sky.places(found.hip, stamp_ns)
-        fix, _ = Rotation.align_vectors(camera.unproject(uv, intrinsics, detector.pitch_mm), u_i)
+        uv, u_i = spots.uv[seen[found.spot]], self._sky.places(found.hip, stamp_ns)
+        fix, _ = Rotation.align_vectors(guess.lens.unproject(uv, intrinsics), u_i)
         prior = View.around(fix.as_matrix(), np.eye(3), intrinsics, covariance)
-        start = fitted(prior, u_i, uv, np.full(len(uv), _FIRST_SIGMA_PX), detector.pitch_mm)
+        start = fitted(prior, u_i, uv, np.full(len(uv), _FIRST_SIGMA_PX), guess.lens)
         settled = self._settle(prior, start, _FIRST_SIGMA_PX, spots, stamp_ns)
         if settled is None or chance(
                 len(settled.row) - _FIX_STARS, len(spots.row), settled.stars, settled.sigma,
-                detector) > _CHANCE_SEARCHED:
+                guess.detector) > _CHANCE_SEARCHED:
             return None
         return settled.identification(spots, tracked=False)
 
@@ -241,7 +242,7 @@ class Identifier:
         settled = self._settle(prior, prior, MODEL_SIGMA_PX, spots, stamp_ns)
         if settled is None or chance(
                 len(settled.row), len(spots.row), expected(
-                    prior, settled.u_i, self._guess.detector.pitch_mm), settled.sigma,
+                    prior, settled.u_i, self._guess.lens), settled.sigma,
                 self._guess.detector) > _CHANCE_TRACKED:
             return None
         return settled.identification(spots, tracked=True)
@@ -249,23 +250,25 @@ class Identifier:
     def _settle(self, prior: View, start: View, sigma: float, spots: _Observed,
                 stamp_ns: int | None) -> _Settled | None:
         """Match and fit in turn until the gate is as narrow as the residuals allow."""
-        view, detector = start, self._guess.detector
+        view, detector, lens = start, self._guess.detector, self._guess.lens
         spots = spots.take(spots.sigma <= _WORST_SIGMA_PX)
         count = _STARS_PER_SPOT * len(spots.row) + _SPARE_STARS
         matched = 0
         for _ in range(_ROUNDS):
-            field = self._sky.on(detector, view.C_si, view.intrinsics, stamp_ns, count)
-            stars = expected(view, field.u_i, detector.pitch_mm)
+            field = self._sky.on(detector, lens, view.C_si, view.intrinsics, stamp_ns, count)
+            stars = expected(view, field.u_i, lens)
+            told = stars.told(_TOLD * detector.width)
+            field, stars = field.take(told), stars.take(told)
             noise = np.hypot(spots.sigma, sigma)
             spot, star = match(stars, spots.uv, noise)
             plausible = _plausible(spots.flux[spot], field.magnitude[star])
             spot, star = spot[plausible], star[plausible]
             if len(spot) < MIN_STARS:
                 return None
-            view = fitted(prior, field.u_i[star], spots.uv[spot], noise[spot], detector.pitch_mm)
-            residual = spots.uv[spot] - expected(view, field.u_i[star], detector.pitch_mm).uv
+            view = fitted(prior, field.u_i[star], spots.uv[spot], noise[spot], lens)
+            residual = spots.uv[spot] - expected(view, field.u_i[star], lens).uv
             unexplained = robust.scale_of(np.linalg.norm(residual, axis=-1))
-            if unexplained > 0.9 * sigma or sigma == MODEL_SIGMA_PX and len(spot) == matched:
+            if len(spot) <= matched and (unexplained > 0.9 * sigma or sigma == MODEL_SIGMA_PX):
                 break
             sigma, matched = float(np.clip(unexplained, MODEL_SIGMA_PX, sigma)), len(spot)
         return _Settled(view, spots.row[spot], field.hip[star], field.u_i, stars, sigma,
@@ -291,9 +294,9 @@ class Identifier:
         else:
             return None
         view = self._last[1]
-        Phi = np.eye(10)
+        Phi = np.eye(len(view.root))
         Phi[:3, :3] = turn
-        Q_root = np.hstack((np.diag([sigma] * 3 + [0.0] * 7), self._drift))
+        Q_root = np.hstack((np.diag([sigma] * 3 + [0.0] * len(view.intrinsics)), self._drift))
         return view._replace(C_si=turn @ view.C_si, root=kalman.predict(view.root, Phi, Q_root))
 
 

@@ -4,8 +4,9 @@
 
 Model
 -----
-A view is what is believed of one frame: attitude and camera, with the covariance of their ten
-errors ``[Psi, u0, v0, f, k1, k2, p1, p2]``, estimate minus truth. A star of the catalogue is
+A view is what is believed of one frame: attitude and camera, with the covariance of their
+errors ``[Psi, u0, v0, f, ...]``, the camera's those of the values of its lens model, estimate
+minus truth. A star of the catalogue is
 expected at uv, and a spot z is its image if ::
 
     (z - uv)' S^-1 (z - uv) < GATE,    S = H P H' + sigma^2 I                      (I.1)
@@ -24,10 +25,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.core import camera, kalman, robust, rotation
-from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core import kalman, robust, rotation
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.distributions import chi2_ppf_of_two, poisson_sf
+from starcal_ros.core.lenses.model import LensModel
 
 Rows = Ints
 
@@ -45,9 +47,9 @@ class View(NamedTuple):
     ----------
     C_si : (3, 3) array
         Attitude of the star tracker.
-    intrinsics : (7,) array
-        Camera, as in `starcal_ros.core.camera`.
-    root : (10, 10) array
+    intrinsics : (p,) array
+        Camera: the values of its lens model.
+    root : (3 + p, 3 + p) array
         Root of the covariance of their errors: Psi in s [rad], then the intrinsics.
     """
 
@@ -58,19 +60,19 @@ class View(NamedTuple):
     @classmethod
     def around(cls, C_si: Array, attitude_covariance: Array, intrinsics: Array,
                camera_covariance: Array) -> View:
-        """Return the view with independent errors of attitude (3, 3) and camera (7, 7)."""
-        root = np.zeros((10, 10))
+        """Return the view with independent errors of attitude (3, 3) and camera (p, p)."""
+        root = np.zeros((3 + len(intrinsics),) * 2)
         root[:3, :3] = kalman.root_of(attitude_covariance)
         root[3:, 3:] = kalman.root_of(camera_covariance)
         return cls(C_si, intrinsics, root)
 
     def moved(self, error: Array) -> View:
-        """Return the view less an error (10,)."""
+        """Return the view less an error (3 + p,)."""
         return self._replace(C_si=rotation.exp(-error[:3]) @ self.C_si,
                              intrinsics=self.intrinsics - error[3:])
 
     def minus(self, other: View) -> Array:
-        """Return the difference of two views as an error (10,)."""
+        """Return the difference of two views as an error (3 + p,)."""
         return np.concatenate((rotation.log(self.C_si @ other.C_si.T),
                                self.intrinsics - other.intrinsics))
 
@@ -82,7 +84,7 @@ class Expected(NamedTuple):
     ----------
     uv : (n, 2) array
         Their images, from the centre of the detector [px].
-    H : (n, 2, 10) array
+    H : (n, 2, 3 + p) array
         Derivatives by the errors of the view.
     P : (n, 2, 2) array
         Covariance of uv [px^2].
@@ -92,10 +94,18 @@ class Expected(NamedTuple):
     H: Array
     P: Array
 
+    def take(self, rows: Mask) -> Expected:
+        """Return some of them."""
+        return Expected(self.uv[rows], self.H[rows], self.P[rows])
 
-def expected(view: View, u_i: Array, pitch_mm: float) -> Expected:
-    """Return the images of the stars u_i (n, 3), all in front of the camera."""
-    uv, H_rotation, H_camera = camera.linearize(u_i @ view.C_si.T, view.intrinsics, pitch_mm)
+    def told(self, sigma_px: float) -> Mask:
+        """Tell which are known to a standard deviation, of both axes together [px]."""
+        return np.asarray(np.trace(self.P, axis1=-2, axis2=-1) < 2.0 * sigma_px**2)
+
+
+def expected(view: View, u_i: Array, lens: LensModel) -> Expected:
+    """Return the images of the stars u_i (n, 3), all of which the lens can see."""
+    uv, H_rotation, H_camera = lens.linearize(u_i @ view.C_si.T, view.intrinsics)
     H = np.concatenate((H_rotation, H_camera), axis=-1)
     M = H @ view.root
     return Expected(uv, H, M @ np.swapaxes(M, -1, -2))
@@ -129,11 +139,11 @@ def match(stars: Expected, uv: Array, sigma: Array) -> tuple[Rows, Rows]:
     return spot, star
 
 
-def fitted(prior: View, u_i: Array, uv: Array, sigma: Array, pitch_mm: float) -> View:
+def fitted(prior: View, u_i: Array, uv: Array, sigma: Array, lens: LensModel) -> View:
     """Return the view that prior and most stars (n) agree on, and its covariance."""
     view = prior
     for _ in range(_ITERATIONS):
-        stars, deviation = expected(view, u_i, pitch_mm), view.minus(prior)
+        stars, deviation = expected(view, u_i, lens), view.minus(prior)
         miss = np.linalg.norm(stars.uv - uv, axis=-1)
         scale = np.maximum(robust.scale_of(miss), sigma)
         innovation = kalman.innovate(prior.root, stars.H,

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import erfa
 import numpy as np
 
-from starcal_ros.core import camera
-from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
+from starcal_ros.core.lenses.model import LensModel
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.sky import catalog
 from starcal_ros.sky.apparent import Observer, apparent_places
@@ -37,6 +37,10 @@ class FieldStars(NamedTuple):
     hip: Ints
     u_i: Array
     magnitude: Array
+
+    def take(self, rows: Mask) -> FieldStars:
+        """Return some of them."""
+        return FieldStars(self.hip[rows], self.u_i[rows], self.magnitude[rows])
 
 
 class StarField:
@@ -63,14 +67,13 @@ class StarField:
         """Return the apparent places, (n, 3), of stars of the catalogue."""
         return self._places(self._stars.rows(hip), stamp_ns)
 
-    def on(self, detector: Detector, C_si: Array, intrinsics: Array, stamp_ns: int | None,
-           count: int) -> FieldStars:
+    def on(self, detector: Detector, lens: LensModel, C_si: Array, intrinsics: Array,
+           stamp_ns: int | None, count: int) -> FieldStars:
         """Return the brightest stars that fall on a detector or near it, `count` at most."""
         corner = np.array([detector.width, detector.height]) / 2.0 * _MARGIN
-        edge = camera.unproject(corner * [[1, 1], [1, -1], [-1, 1], [-1, -1]], intrinsics,
-                                detector.pitch_mm)
+        edge = lens.unproject(corner * [[1, 1], [1, -1], [-1, 1], [-1, -1]], intrinsics)
         near = np.flatnonzero(self._direction @ C_si[2] > edge[:, 2].min())
-        uv = camera.project(self._direction[near] @ C_si.T, intrinsics, detector.pitch_mm)
+        uv = lens.project(self._direction[near] @ C_si.T, intrinsics)
         row = self._brightest[near[detector.contains(uv / _MARGIN)][:count]]
         return FieldStars(self._stars.hip[row], self._places(row, stamp_ns),
                           self._stars.magnitude[row])

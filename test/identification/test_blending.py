@@ -7,6 +7,7 @@ import pytest
 
 from instruments import DETECTOR, INTRINSICS, PITCH_MM
 from starcal_ros.core import camera, rotation
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.identification.blending import photocentre_shift
 from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.identifier import Identifier
@@ -46,7 +47,8 @@ def test_a_star_whose_trail_meets_that_of_another_gets_no_name(angle, named):
                             exposure_s=EXPOSURE_S)
     for k in range(-3, 1):
         attitude = np.linalg.matrix_power(turn, 3 + k) @ np.linalg.matrix_power(turn.T, 3) @ C_si
-        field = sky.on(DETECTOR, attitude, INTRINSICS, STAMP_NS + k * PERIOD_NS, 60)
+        field = sky.on(DETECTOR, Tan2018Lens(PITCH_MM), attitude, INTRINSICS,
+                       STAMP_NS + k * PERIOD_NS, 60)
         uv = camera.project(field.u_i @ attitude.T, INTRINSICS, PITCH_MM)
         kept = DETECTOR.contains(uv) & (field.hip != NEIGHBOUR)
         found = identifier.identify(uv[kept] + DETECTOR.centre_raster,

@@ -8,9 +8,11 @@ from scipy.stats import chi2
 
 from instruments import DETECTOR, INTRINSICS
 from starcal_ros.core import rotation
+from starcal_ros.core.lenses.plumb_bob import Tan2018Lens
 from starcal_ros.identification.matching import (GATE, Expected, View, chance, expected, fitted,
                                                  match)
 
+LENS = Tan2018Lens(DETECTOR.pitch_mm)
 SIGMA = np.array([3.0, 3.0, 0.1, 1e-5, 1e-7, 1e-6, 1e-6])
 
 
@@ -36,10 +38,10 @@ def stars_at(uv, P=0.0) -> Expected:
 def test_the_derivatives_are_those_of_moving_the_view():
     at, h = view(), np.array([1e-6] * 3 + [1e-3, 1e-3, 1e-4, 1e-7, 1e-9, 1e-8, 1e-8])
     u_i = sky(np.random.default_rng(1), at.C_si, 8)
-    H = expected(at, u_i, DETECTOR.pitch_mm).H
+    H = expected(at, u_i, LENS).H
     # `moved` takes an error away: d uv / d(estimate) is minus its derivative.
-    numeric = np.stack([(expected(at.moved(-step), u_i, DETECTOR.pitch_mm).uv
-                         - expected(at.moved(step), u_i, DETECTOR.pitch_mm).uv) / (2.0 * h[k])
+    numeric = np.stack([(expected(at.moved(-step), u_i, LENS).uv
+                         - expected(at.moved(step), u_i, LENS).uv) / (2.0 * h[k])
                         for k, step in enumerate(np.diag(h))], axis=-1)
     largest = np.abs(numeric).max(axis=(0, 1))
     np.testing.assert_allclose(H / largest, numeric / largest, atol=1e-5)
@@ -94,9 +96,9 @@ def test_a_fit_to_perfect_stars_is_the_truth():
     truth = view()
     prior = truth.moved(np.array([2e-3, -1e-3, 3e-3, 2.0, -3.0, 0.2, 1e-5, -1e-7, 1e-6, 1e-6]))
     u_i = sky(np.random.default_rng(3), truth.C_si, 40)
-    uv = expected(truth, u_i, DETECTOR.pitch_mm).uv
-    found = fitted(prior, u_i, uv, np.full(40, 1e-3), DETECTOR.pitch_mm)
-    np.testing.assert_allclose(expected(found, u_i, DETECTOR.pitch_mm).uv, uv, atol=1e-3)
+    uv = expected(truth, u_i, LENS).uv
+    found = fitted(prior, u_i, uv, np.full(40, 1e-3), LENS)
+    np.testing.assert_allclose(expected(found, u_i, LENS).uv, uv, atol=1e-3)
 
 
 def test_the_covariance_of_a_fit_is_that_of_its_errors():
@@ -105,8 +107,8 @@ def test_the_covariance_of_a_fit_is_that_of_its_errors():
     for _ in range(200):
         prior = truth.moved(-truth.root @ rng.standard_normal(10))
         u_i = sky(rng, truth.C_si, 12)
-        uv = expected(truth, u_i, DETECTOR.pitch_mm).uv + 0.5 * rng.standard_normal((12, 2))
-        found = fitted(prior, u_i, uv, sigma, DETECTOR.pitch_mm)
+        uv = expected(truth, u_i, LENS).uv + 0.5 * rng.standard_normal((12, 2))
+        found = fitted(prior, u_i, uv, sigma, LENS)
         nees.append(np.sum(np.linalg.solve(found.root, found.minus(truth))**2))
     # The robust weights cost a little: 1 / (1 + x^2 / 9)^2 of a miss of x sigma, on average 0.7
     # of each star; the sigmas of the fit say so too.
@@ -118,10 +120,10 @@ def test_a_fit_lets_go_of_a_star_that_is_another():
     truth = view()
     prior = truth.moved(np.array([2e-3, -2e-3, 0, 0, 0, 0, 0, 0, 0, 0]))
     u_i = sky(np.random.default_rng(5), truth.C_si, 15)
-    uv = expected(truth, u_i, DETECTOR.pitch_mm).uv
+    uv = expected(truth, u_i, LENS).uv
     uv[:3] += [12.0, -9.0]
-    found = fitted(prior, u_i, uv, np.full(15, 0.3), DETECTOR.pitch_mm)
-    miss = np.linalg.norm(expected(found, u_i, DETECTOR.pitch_mm).uv - uv, axis=1)
+    found = fitted(prior, u_i, uv, np.full(15, 0.3), LENS)
+    miss = np.linalg.norm(expected(found, u_i, LENS).uv - uv, axis=1)
     assert miss[3:].max() < 0.3         # a sigma; the plain fit would be 3 px off
 
 

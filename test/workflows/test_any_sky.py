@@ -14,6 +14,8 @@ import pytest
 from scipy.ndimage import convolve
 
 from starcal_ros.cli import main
+from starcal_ros.core import rotation
+from starcal_ros.core.lenses.fisheye import EquidistantLens
 from starcal_ros.workflows.still_images import search
 
 pytest.importorskip('tetra3rs')
@@ -79,11 +81,42 @@ def test_very_wide_fields_are_found_beyond_100_deg_where_they_are_stated(images,
 
 def test_a_field_beyond_those_is_refused(images, capsys):
     save(images / 'a.png', np.zeros((48, 64), np.uint8))
-    assert run(images, '--fov', '121')[0] != 0
-    assert 'got 121 deg, needs more than 0, at most 120' in capsys.readouterr().err
+    table = images.parent / 'stars.csv'
+    table.write_text('image,u,v,catalog_id\na.png,1.0,2.0,32349\n')
+    for words in ([str(images)], ['--centroids', str(table), '--width', '64', '--height', '48']):
+        for field in ('301', '0', '-3', 'nan'):
+            assert main(['intrinsics', *words, '--fov', field, '--out',
+                         str(images.parent / 'c.json')]) == 2
+            assert (f'got {field} deg, needs more than 0, at most 300, of a fisheye beyond 120'
+                    in capsys.readouterr().err)
 
 
 @pytest.mark.slow
+def all_sky(folder, focal_px, count=3):
+    """Write images of an equidistant lens, to 85 deg from its axis."""
+    eye = Camera(zero_point_electrons_s=4e6)
+    for k in range(count):
+        r_s = eye.u_i @ rotation.exp(3.0 * eye.rng.standard_normal(3)).T
+        uv = EquidistantLens(1.0).project(r_s, np.array([7.5, -8.0, focal_px]))
+        seen = (r_s[:, 2] > 0.09) & (np.abs(uv) < [330.0, 250.0]).all(axis=1)
+        seen &= eye.stars.magnitude < 5.5
+        save(folder / f'{k}.png', eye.counts(uv[seen], eye.stars.magnitude[seen]))
+
+
+@pytest.mark.parametrize('focal_px, words', [(153.0, ['--fov', '240']), (400.0, [])])
+def test_fisheyes_are_found_and_said_to_be_no_pinhole(
+        images, focal_px, words, capsys, monkeypatch):
+    monkeypatch.setattr(search, 'RARE_DEG', ((85.0, 94.0),))       # for the sake of time
+    all_sky(images, focal_px)
+    status, found = run(images, *words)
+    said = ' '.join(capsys.readouterr().out.split())
+    assert status == 4 and 'this is no pinhole; ' in said and '(--lens ' in said
+    status, found = run(images, *words, '--lens', 'equidistant')
+    assert len(found['images']) == 3 and found['counts']['stars'] > 250
+    for key, true in (('f_px', focal_px), ('u0_px', 327.0), ('v0_px', 231.5)):
+        assert abs(found[key] - true) < 4.0 * found['sigma'][key] < 0.2, key
+
+
 def test_a_field_of_which_nothing_is_known_may_be_too_narrow(images, monkeypatch, capsys):
     monkeypatch.setattr(search, 'RARE_DEG', ((40.0, 55.0),))
     rng = np.random.default_rng(1)

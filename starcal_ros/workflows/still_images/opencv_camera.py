@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from starcal_ros.config.models import detector
+from starcal_ros.config.parameter import ConfigError
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import pixel_phase
 from starcal_ros.core.arrays import Array
@@ -26,6 +27,8 @@ KEYS = ('f_px', 'u0_px', 'v0_px', 'k1', 'k2', 'p1', 'p2')
 """The intrinsics in results; p1 and p2 are OpenCV's."""
 IN_OURS = ('f', 'u0', 'v0', 'k1', 'k2', 'p2', 'p1')
 """The same, as `starcal_ros.core.camera` calls them."""
+WIDEST_PINHOLE_DEG, WIDEST_DEG = 120.0, 300.0
+"""Fields of view across the width; what is wider than the first is a fisheye."""
 
 
 def keys(lens: LensModel) -> tuple[str, ...]:
@@ -77,5 +80,21 @@ def _plumb_bob(intrinsics: Array, scenario: Scenario) -> tuple[Array, Array]:
 
 
 def focal_length_of_field(fov_deg: float, width: int) -> float:
-    """Return the focal length of a field of view across the width [px]."""
+    """Return the focal length of a field of view across the width, of a fisheye if so wide [px].
+
+    Raises
+    ------
+    ConfigError
+        Where no camera has such a field.
+    """
+    check_field(fov_deg)
+    if fov_deg > WIDEST_PINHOLE_DEG:
+        return width / (fov_deg * DEG)
     return 0.5 * width / float(np.tan(0.5 * fov_deg * DEG))
+
+
+def check_field(fov_deg: float) -> None:
+    """Raise ConfigError where no camera has such a field of view across the width."""
+    if not 0.0 < fov_deg <= WIDEST_DEG:
+        raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
+                          f'{WIDEST_DEG:g}, of a fisheye beyond {WIDEST_PINHOLE_DEG:g}')

@@ -242,8 +242,8 @@ def of_table(stars_csv: str | PathLike[str], width: int, height: int,
         raise ConfigError('site: needs the epoch, the time of the images')
     images, left_out = _once(
         table.read_centroids(fspath(stars_csv), conditions.epoch_utc or EPOCH))
-    f_px = (opencv_camera.focal_length_of_field(conditions.fov_deg, width) if conditions.fov_deg
-            else calibration.focal_length_px(images, width, height))
+    f_px = (calibration.focal_length_px(images, width, height) if conditions.fov_deg is None
+            else opencv_camera.focal_length_of_field(conditions.fov_deg, width))
     return _above_horizon(Source(fspath(stars_csv), images, width, height, f_px, conditions,
                                  left_out, (), {'left_out': left_out}))
 

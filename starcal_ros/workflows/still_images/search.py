@@ -4,22 +4,23 @@
 
 A field is stated, or told by the file, or that of other images of the same size. Where it is none
 of these, ever rarer ones are tried, for as long as no image of the size is identified: the
-patterns of narrow fields take a quarter of a minute to prepare.
+patterns of narrow fields take a quarter of a minute to prepare. Fisheyes come last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone, tzinfo
+from typing import NamedTuple
 
 import numpy as np
 
-from starcal_ros.config.parameter import ConfigError
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.utc import unix_ns
 from starcal_ros.identification.camera_guess import CameraGuess
+from starcal_ros.identification.fisheye_guess import FisheyeGuess
 from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
                                                    MirroredError)
 from starcal_ros.imaging.spread import rank_in_cell
@@ -27,6 +28,7 @@ from starcal_ros.sky import depth
 from starcal_ros.sky.apparent import Observer
 from starcal_ros.workflows.still_images import why_not
 from starcal_ros.workflows.still_images.measured import Measured
+from starcal_ros.workflows.still_images.opencv_camera import WIDEST_PINHOLE_DEG, check_field
 from starcal_ros.workflows.still_images.standing import standing
 
 FIELD_DEG = (8.0, 40.0)
@@ -41,11 +43,32 @@ FIELD_ERROR = 0.1
 """Part of itself by which a stated field of view may be wrong."""
 
 _TOLD_ERROR, _KNOWN_ERROR = 0.15, 0.03      # of a field that a file tells, that others have
-_WIDEST_DEG, _WIDEST_TOLD_DEG = 120.0, 130.0
+_WIDEST_TOLD_DEG = 130.0
+_FISHEYE_DEG = 60.0     # across the width, from which on it may be one
+_FISHEYE_ERROR = 0.08   # of a focal length, at which a fisheye is still identified
+_FISHEYE_STEP = 1.12    # from one that is tried to the next
+_FISHEYE_IMAGES = 4     # of which all are tried
+_CORNER_DEG = 50.0      # from the axis, in the narrowest that is tried
+_MORE = 1.1             # times the stars, that a fisheye must have in place of a pinhole
+_CIRCLE = 0.8           # of the short side, that a hemisphere fills in the widest
 _LEAST_SIGMA_PX = 0.01  # what no fit of a spot knows of: uneven pixels, proper motion to the epoch
 _BEST_OF_CELL = 2       # spots of each cell that a second search begins with
 
 Field = tuple[float, float]
+
+
+class Fisheye(NamedTuple):
+    """A lens of about some focal length, whose images grow with the angle from its axis.
+
+    Attributes
+    ----------
+    focal_px : float
+    """
+
+    focal_px: float
+
+
+Optics = Field | Fisheye
 
 
 @dataclass(frozen=True)
@@ -91,7 +114,7 @@ class StarSearch:
     Parameters
     ----------
     fov_deg : float or None
-        Field of view across the width, to FIELD_ERROR.
+        Field of view across the width, to FIELD_ERROR; beyond 120 deg that of a fisheye.
     epoch_utc : str or None
         Time of the images, whatever the files say, ISO 8601.
     observer : Observer
@@ -107,12 +130,13 @@ class StarSearch:
 
     def __init__(self, fov_deg: float | None, epoch_utc: str | None, observer: Observer,
                  zone: tzinfo | None = None) -> None:
-        if fov_deg is not None and not 0.0 < fov_deg <= _WIDEST_DEG:
-            raise ConfigError(f'field of view: got {fov_deg:g} deg, needs more than 0, at most '
-                              f'{_WIDEST_DEG:g}')
-        self._stated = None if fov_deg is None else _about(fov_deg, FIELD_ERROR)
+        if fov_deg is not None:
+            check_field(fov_deg)
+        self._fov_deg = fov_deg
+        self._stated = (None if fov_deg is None or fov_deg > WIDEST_PINHOLE_DEG
+                        else _about(fov_deg, FIELD_ERROR))
         self._epoch_utc, self._observer = epoch_utc, observer
-        self._identifiers: dict[tuple[tuple[int, int], Field], Identifier] = {}
+        self._identifiers: dict[tuple[tuple[int, int], Optics], Identifier] = {}
         self._known: dict[tuple[int, int], list[float]] = {}
         self._zone = zone
         self._tried: dict[str, Field] = {}
@@ -122,9 +146,11 @@ class StarSearch:
     @property
     def looked_for(self) -> str:
         """Which fields were."""
-        low, high = self._stated or (min(low for low, _ in (FIELD_DEG, *RARE_DEG)),
-                                     max(high for _, high in (FIELD_DEG, *RARE_DEG)))
-        return f'field of {low:g} to {high:g} deg looked for'
+        if self._fov_deg is not None:
+            return f'field of about {self._fov_deg:g} deg looked for'
+        low, high = (min(low for low, _ in (FIELD_DEG, *RARE_DEG)),
+                     max(high for _, high in (FIELD_DEG, *RARE_DEG)))
+        return f'field of {low:g} to {high:g} deg, and fisheyes, looked for'
 
     def images(self, measured: Sequence[Measured], on_progress: Callable[[float], None]
                ) -> list[StarImage]:
@@ -144,40 +170,65 @@ class StarSearch:
             missing = [image for image in measured
                        if image.shape == shape and image.name not in found]
             promising = sorted(missing, key=lambda image: -len(image.centroids.flux))
-            for field in RARE_DEG if self._stated is None else ():
+            for field in RARE_DEG if self._fov_deg is None else ():
                 for image in promising[:RARE_IMAGES] if shape not in self._known else ():
                     self._try(image, [field], found)
+            for fisheye in self._fisheyes(shape):
+                for image in promising[:_FISHEYE_IMAGES] if shape not in self._known else ():
+                    self._try(image, [fisheye], found)
             for image in missing:
                 if image.name not in found:
                     self._try(image, self._others(image), found)
         return [found[image.name] for image in measured if image.name in found]
 
-    def _first(self, image: Measured) -> Iterator[Field]:
+    def _fisheyes(self, shape: tuple[int, int]) -> list[Fisheye]:
+        """Return those of which images of a size may be."""
+        height, width = shape
+        if self._fov_deg is None:
+            longest = 0.5 * np.hypot(width, height) / np.radians(_CORNER_DEG)
+            shortest = _CIRCLE * min(shape) / np.pi
+        elif self._fov_deg < _FISHEYE_DEG:
+            return []
+        else:
+            about = width / np.radians(self._fov_deg)
+            longest, shortest = about * (1.0 + FIELD_ERROR), about / (1.0 + FIELD_ERROR)
+        steps = int(np.ceil(np.log(longest / shortest) / np.log(_FISHEYE_STEP)))
+        return [Fisheye(f) for f in np.geomspace(longest, shortest, steps + 1).tolist()]
+
+    def _first(self, image: Measured) -> Iterator[Optics]:
         """Yield the fields in which an image is looked for before all others."""
         if self._stated is not None:
             yield self._stated
+        if self._fov_deg is not None:
             return
         yield from self._others(image)
         if image.focal_px is not None:
             yield _about(_field_deg(image.focal_px, image), _TOLD_ERROR)
         yield FIELD_DEG
 
-    def _others(self, image: Measured) -> Iterator[Field]:
-        """Yield the fields of other images of the same size, upright or lying."""
+    def _others(self, image: Measured) -> Iterator[Optics]:
+        """Yield the fields of other images of the same size, upright or lying.
+
+        What distorts a wide field as a fisheye does is identified as the one, or as the other.
+        """
         for focal_px in (*self._known.get(image.shape, ()),
                          *self._known.get(image.shape[::-1], ())):
-            yield _about(_field_deg(focal_px, image), _KNOWN_ERROR)
+            field_deg = _field_deg(focal_px, image)
+            if field_deg < _WIDEST_TOLD_DEG:
+                yield _about(field_deg, _KNOWN_ERROR)
+            if image.shape[1] / focal_px > np.radians(_FISHEYE_DEG):
+                yield Fisheye(focal_px)
 
-    def _try(self, image: Measured, fields: Iterator[Field] | list[Field],
-             found: dict[str, StarImage]) -> None:
+    def _try(self, image: Measured, fields: Iterable[Optics], found: dict[str, StarImage]) -> None:
         """Look for an image in some fields, and write down its stars or why there are none."""
         said = why_not.before(image)
         for field in fields if said is None else ():
-            low, high = self._tried.get(image.name, field)
-            self._tried[image.name] = min(low, field[0]), max(high, field[1])
+            if not isinstance(field, Fisheye):
+                low, high = self._tried.get(image.name, field)
+                self._tried[image.name] = min(low, field[0]), max(high, field[1])
             stars = self._identify(image, field)
             if isinstance(stars, StarImage):
-                found[image.name] = stars
+                found[image.name] = stars = self._whole(image, field, stars)
                 self.left_out.pop(image.name, None)
                 known = self._known.setdefault(image.shape, [])
                 if not any(abs(stars.focal_length_px / f - 1.0) < _KNOWN_ERROR for f in known):
@@ -187,15 +238,21 @@ class StarSearch:
         if said is not None:
             self.left_out[image.name] = said
 
-    def _identify(self, image: Measured, field: Field) -> StarImage | str:
+    def _whole(self, image: Measured, field: Optics, stars: StarImage) -> StarImage:
+        """Return those of a fisheye where only its middle was identified, as a pinhole."""
+        if isinstance(field, Fisheye) or field[1] < _FISHEYE_DEG:
+            return stars
+        more = self._identify(image, Fisheye(stars.focal_length_px))
+        return more if isinstance(more, StarImage) and (
+            len(more.catalog_id) > _MORE * len(stars.catalog_id)) else stars
+
+    def _identify(self, image: Measured, field: Optics) -> StarImage | str:
         """Return an image's stars, or why there are none."""
         key = image.shape, field
         height, width = image.shape
         if key not in self._identifiers:
-            area = field[0] * field[1] * height / width
-            self._identifiers[key] = Identifier(
-                CameraGuess.of_field(Detector(width, height, 1.0), *field), self._observer,
-                depth.limit_for(area))
+            self._identifiers[key] = _identifier(Detector(width, height, 1.0), field,
+                                                 self._observer)
         stamp_ns = self._stamp_ns(image.taken)
         stands = self._standing.get(image.name, np.zeros(len(image.centroids.flux), bool))
         mirrored, uv = False, image.centroids.uv_raster
@@ -208,7 +265,8 @@ class StarSearch:
             except MirroredError:
                 found = None
         if found is None:
-            return why_not.after(image, self._tried[image.name], self._stated is not None, stands)
+            return why_not.after(image, self._tried.get(image.name), self._fov_deg is not None,
+                                 stands)
         centroids = image.centroids
         use = (found.catalog_id != 0) & (centroids.flags == 0)
         if use.sum() < MIN_STARS:
@@ -228,6 +286,14 @@ class StarSearch:
             return None
         zone = self._zone or taken.tzinfo or timezone.utc
         return unix_ns(taken.replace(tzinfo=zone).astimezone(timezone.utc).isoformat())
+
+
+def _identifier(detector: Detector, field: Optics, observer: Observer) -> Identifier:
+    if isinstance(field, Fisheye):
+        return Identifier(FisheyeGuess.of_focal_length(detector, field.focal_px, _FISHEYE_ERROR),
+                          observer)
+    area = field[0] * field[1] * detector.height / detector.width
+    return Identifier(CameraGuess.of_field(detector, *field), observer, depth.limit_for(area))
 
 
 def _search(identifier: Identifier, image: Measured, uv: Array, stamp_ns: int | None,

@@ -28,14 +28,15 @@ def before(image: Measured) -> str | None:
     return None
 
 
-def after(image: Measured, field_deg: tuple[float, float], is_stated: bool, stands: Mask) -> str:
+def after(image: Measured, field_deg: tuple[float, float] | None, is_stated: bool, stands: Mask
+          ) -> str:
     """Return why a search in a field may have failed.
 
     Parameters
     ----------
     image : Measured
-    field_deg : (float, float)
-        Fields of view across the width that were looked for.
+    field_deg : (float, float) or None
+        Fields of view across the width that were looked for; None where fisheyes alone were.
     is_stated : bool
         Whether the user stated the field.
     stands : (n,) bool array
@@ -43,9 +44,9 @@ def after(image: Measured, field_deg: tuple[float, float], is_stated: bool, stan
     """
     spots, shape = image.centroids, image.centroids.shape
     count = len(spots.flux)
-    low, high = field_deg
-    said = [f'not identified: {count} spots match no stars of a field of {low:.3g} to '
-            f'{high:.3g} deg']
+    said = [f'not identified: {count} spots match no stars of ' + (
+        'a fisheye' if field_deg is None else
+        f'a field of {field_deg[0]:.3g} to {field_deg[1]:.3g} deg')]
     length = float(np.linalg.norm(spots.streak))
     if length > max(_STREAK_PX, _STREAK_SIGMAS * shape.sigma):
         angle = float(np.degrees(np.arctan2(-spots.streak[1], spots.streak[0]))) % 180.0
@@ -67,7 +68,9 @@ def after(image: Measured, field_deg: tuple[float, float], is_stated: bool, stan
     if long > _MOST * count:
         said.append(f'{long} of them are no points: clouds, a galaxy, poor focus, or trails that '
                     'turn')
-    area = high**2 * image.shape[0] / image.shape[1]
+    if field_deg is None:
+        return '; '.join(said)
+    area = field_deg[1]**2 * image.shape[0] / image.shape[1]
     if count < _FEW and not is_stated:
         said.append('there are few of them: the field may be too narrow for the catalogue, which '
                     f'has {depth.stars_in(1.0):.1f} stars a square degree')
