@@ -9,7 +9,7 @@ bright ones have in common, and with that shape the place of each (`psf_fit`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from starcal_ros.config.image import CentroidConfig
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.imaging.cutouts import Cutouts, Shape, trail_of
 from starcal_ros.imaging.detection import Detections, find_spots
+from starcal_ros.imaging.lattice import Lattice
 from starcal_ros.imaging.light import Light
 from starcal_ros.imaging.picture import Picture
 from starcal_ros.imaging.pixels import Scale
@@ -78,15 +79,17 @@ class Centroids:
 
 def of_picture(picture: Picture, config: CentroidConfig) -> Centroids:
     """Find and measure the stars of a picture, in pixels of its camera; as `extract`."""
-    found, n = extract(picture.counts, config, picture.scale), picture.spacing
-    if n == 1:
+    lattice = picture.lattice
+    found = extract(picture.counts, config, picture.scale, lattice)
+    if lattice is None:
         return found
-    return Centroids(n * found.uv_raster + (n - 1) / 2.0, n**2 * found.covariance, found.flux,
-                     found.flags, found.shape, n * found.streak)
+    return replace(found, uv_raster=lattice.places(found.uv_raster),
+                   covariance=lattice.covariance(found.covariance),
+                   streak=lattice.vector(found.streak))
 
 
 def extract(image: NDArray[np.generic], config: CentroidConfig,
-            scale: Scale | None = None) -> Centroids:
+            scale: Scale | None = None, lattice: Lattice | None = None) -> Centroids:
     """Find and measure the stars of an image.
 
     Parameters
@@ -97,6 +100,8 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
         Threshold, gain, saturation.
     scale : Scale, optional
         Of the counts; by default that of the type of the image.
+    lattice : Lattice, optional
+        Which pixels of a larger one these are, over which the spots are to be spread.
 
     Raises
     ------
@@ -115,12 +120,14 @@ def extract(image: NDArray[np.generic], config: CentroidConfig,
 
     electrons = config.gain_electrons and config.gain_electrons * light.unit
     # More spots than are wanted may be a crowd of something else than stars.
-    many, size = len(spots.flux) > config.max_spots, light.counts.shape
-    row = (best(spots.uv_raster, spots.flux, size, config.max_spots) if many
+    many, size, place = len(spots.flux) > config.max_spots, light.counts.shape, spots.uv_raster
+    if lattice is not None:
+        size, place = lattice[:2], lattice.places(place)
+    row = (best(place, spots.flux, size, config.max_spots) if many
            else np.arange(len(spots.flux)))
 
     clearest = np.argsort(-spots.significance, kind='stable')[:_CANDIDATES]
-    of_cells = clear_of_crowds(spots.uv_raster, spots.significance, size)
+    of_cells = clear_of_crowds(place, spots.significance, size)
     streak = trail_of(np.median(
         spots.moments[of_cells if many else clearest[:_SHAPE_SPOTS]], axis=0))
 

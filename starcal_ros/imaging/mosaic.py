@@ -1,10 +1,9 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Pixels behind a colour filter array (Bayer): the green ones, as an image of half the size.
+"""Pixels behind a colour filter array (Bayer): the green ones.
 
 A pixel of the one colour lies beside that of another, so that the place of a star measured in all
-of them would depend on its colour. The two green ones of a cell lie on either side of its middle:
-their mean has no such error, keeps the noise of its pixels apart, and is half of the light.
+of them would depend on its colour. The green ones are half of all, on a lattice of their own.
 """
 
 from __future__ import annotations
@@ -12,19 +11,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from starcal_ros.imaging.lattice import Lattice
+
 PATTERNS = ('RGGB', 'BGGR', 'GRBG', 'GBRG')
 """Colours of the four pixels of a cell, row by row."""
-SPACING = 2
-"""Pixels of the camera from one of the green image to the next."""
-
 _FALLING, _RISING = ((0, 0), (1, 1)), ((0, 1), (1, 0))      # diagonals of the cell
 _SIGMAS = 8.0           # by which levels differ that are not those of one colour
 _APART, _ALIKE = 1.0, 0.2       # scatters of a pixel, part of that by which the two green differ
 _PIXELS = 20_000        # of each kind that tell its level
 
 
-def green(counts: NDArray[np.float32], pattern: str, top: float) -> NDArray[np.float32]:
-    """Return the mean of the green pixels of each cell, full where one of them is.
+def green(counts: NDArray[np.float32], pattern: str) -> Lattice:
+    """Return which pixels are green.
 
     Files contradict each other about the row from which the cells of a pattern count, which turns
     one diagonal into the other. Where the levels of the pixels tell which two are of one colour,
@@ -36,21 +34,14 @@ def green(counts: NDArray[np.float32], pattern: str, top: float) -> NDArray[np.f
         Top row first.
     pattern : str
         One of PATTERNS, of the cell at the top left.
-    top : float
-        Counts of a full pixel.
     """
-    height, width = (size // SPACING * SPACING for size in counts.shape)
-    cell = counts[:height, :width].reshape(height // 2, 2, width // 2, 2)
     by_falling, by_rising = (abs(off) * np.sqrt(number) for off, number in (
         _over(counts, _FALLING[0], (1, 1)), _over(counts, _RISING[0], (1, -1))))
     is_falling = pattern[0] == 'G'
     if max(by_falling, by_rising) > _SIGMAS + 2.0 * min(by_falling, by_rising):
         is_falling = by_falling < by_rising
-    one, other = (cell[:, row, :, column] for row, column in (
-        _FALLING if is_falling else _RISING))
-    mean: NDArray[np.float32] = (one + other) / np.float32(2.0)
-    mean[(one >= top) | (other >= top)] = top
-    return mean
+    height, width = counts.shape
+    return Lattice(height, width, 0 if is_falling else 1)
 
 
 def pattern_of(counts: NDArray[np.float32]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starcal_ros.imaging import mosaic
+from starcal_ros.imaging.lattice import Lattice
 from starcal_ros.imaging.pixels import Scale, grey
 
 
@@ -56,9 +57,8 @@ class Picture(NamedTuple):
         Its top is where a pixel is saturated.
     taken : datetime or None
         When, as `exposure_time` has it; None where the file does not tell.
-    spacing : int
-        Pixels of the camera from one of `counts` to the next: 2 where those of a colour filter
-        were taken together.
+    lattice : Lattice or None
+        Which pixels of the camera `counts` are, where they are not all.
     note : str
         What a user should know of how the file was taken; mostly empty.
     focal_px : float or None
@@ -68,15 +68,25 @@ class Picture(NamedTuple):
     counts: NDArray[np.float32]
     scale: Scale
     taken: datetime | None = None
-    spacing: int = 1
+    lattice: Lattice | None = None
     note: str = ''
     focal_px: float | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """Height and width of the camera [px]."""
-        height, width = self.counts.shape
-        return self.spacing * height, self.spacing * width
+        height, width = self.lattice[:2] if self.lattice else self.counts.shape
+        return height, width
+
+    @property
+    def shown(self) -> NDArray[np.float32]:
+        """Counts of all pixels of the camera, (height, width): of those between, a neighbour's."""
+        return self.lattice.shown(self.counts) if self.lattice else self.counts
+
+    def masked(self, mask: NDArray[np.bool_]) -> Picture:
+        """Return it with nothing known where a mask of the camera (height, width) is black."""
+        kept = self.lattice.of(mask, False) if self.lattice else mask
+        return self._replace(counts=np.where(kept, self.counts, np.nan).astype(np.float32))
 
     @classmethod
     def of(cls, plane: Plane) -> Picture:
@@ -102,8 +112,7 @@ class Picture(NamedTuple):
             told = (f'the green pixels of {pattern} are measured' if plane.pattern else
                     'the pixels lie in a mosaic of colours, which the file does not say: the '
                     'green ones are measured')
-            half = None if scale.step is None else scale.step / 2.0
-            return cls(mosaic.green(counts, pattern, scale.top), Scale(scale.top, half),
-                       plane.taken, mosaic.SPACING, ', '.join(filter(None, (plane.note, told))),
-                       plane.focal_px)
+            lattice = mosaic.green(counts, pattern)
+            return cls(lattice.of(counts, np.nan), scale, plane.taken, lattice,
+                       ', '.join(filter(None, (plane.note, told))), plane.focal_px)
         return cls(counts, scale, plane.taken, note=plane.note, focal_px=plane.focal_px)

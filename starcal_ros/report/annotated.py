@@ -129,7 +129,7 @@ def annotate(images: Sequence[Measured], known: dict[str, ImageSky], left_out: M
             sky = known.get(image.name)
             caption = _caption(image, sky, left_out.get(image.name, 'not used'))
             yield Annotated(image.name, caption, _drawn(
-                picture.counts, image, sky, f'{image.name}: {caption}'))
+                picture.shown, image, sky, f'{image.name}: {caption}'))
             if not wanted:
                 break
 

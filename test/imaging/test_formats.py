@@ -13,6 +13,7 @@ from astropy.io import fits
 import numpy as np
 import pytest
 
+from starcal_ros.imaging.lattice import Lattice
 from starcal_ros.imaging.files import ImageFileError, image_files, load, pictures
 
 RNG = np.random.default_rng(1)
@@ -253,8 +254,8 @@ def test_a_raw_file_is_a_mosaic(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, 'rawpy', SimpleNamespace(imread=lambda path: raw))
     (tmp_path / 'a.cr2').write_bytes(b'anything')
     picture = load(tmp_path / 'a.cr2')
-    np.testing.assert_allclose(picture.counts, (SKY[::2, 1::2] / 2.0 + SKY[1::2, ::2] / 2.0))
-    assert picture.spacing == 2 and picture.scale == (15000.0, 0.5)
+    np.testing.assert_array_equal(picture.counts, Lattice(48, 64, 1).of(SKY * 1.0, np.nan))
+    assert picture.scale == (15000.0, 1.0)
     assert picture.shape == SKY.shape and 'green pixels of RGGB' in picture.note
 
 
@@ -265,10 +266,9 @@ def test_a_mosaic_of_which_the_file_says_nothing_shows_itself(tmp_path, level):
     sky = SKY * np.tile(np.reshape(level, (2, 2)), (24, 32))
     Image.fromarray(sky.astype(np.uint16)).save(tmp_path / 'a.tif')
     picture = load(tmp_path / 'a.tif')
-    green = ((SKY[::2, ::2] / 2.0 + SKY[1::2, 1::2] / 2.0) if level[0] == 1.0
-             else SKY[::2, 1::2] / 2.0 + SKY[1::2, ::2] / 2.0)
-    np.testing.assert_allclose(picture.counts, green)
-    assert picture.spacing == 2 and 'which the file does not say' in picture.note
+    assert picture.lattice == (48, 64, 0 if level[0] == 1.0 else 1)
+    np.testing.assert_array_equal(picture.counts, picture.lattice.of(SKY * 1.0, np.nan))
+    assert 'which the file does not say' in picture.note
 
 
 @pytest.mark.parametrize('pixels', [
@@ -279,7 +279,7 @@ def test_a_mosaic_of_which_the_file_says_nothing_shows_itself(tmp_path, level):
 def test_what_is_no_mosaic_is_not_taken_for_one(tmp_path, pixels):
     """Columns that are read by two amplifiers are of two levels, too."""
     Image.fromarray(pixels.astype(np.uint16)).save(tmp_path / 'a.png')
-    assert load(tmp_path / 'a.png').spacing == 1
+    assert load(tmp_path / 'a.png').lattice is None
 
 
 def test_three_exposures_are_not_colours(tmp_path):
@@ -330,6 +330,5 @@ def test_the_level_of_the_sky_tells_which_pixels_are_green(tmp_path, where, orde
         unit.header['ROWORDER'] = order
     unit.writeto(tmp_path / 'a.fits')
     picture = load(tmp_path / 'a.fits')
-    green = (SKY[::2, ::2] / 2.0 + SKY[1::2, 1::2] / 2.0 if where == 'falling'
-             else SKY[::2, 1::2] / 2.0 + SKY[1::2, ::2] / 2.0)
-    np.testing.assert_allclose(picture.counts, green)
+    assert picture.lattice == (48, 64, 0 if where == 'falling' else 1)
+    np.testing.assert_array_equal(picture.counts, picture.lattice.of(SKY * 1.0, np.nan))

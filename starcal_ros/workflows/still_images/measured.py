@@ -169,7 +169,7 @@ def read_mask(path: str | PathLike[str]) -> NDArray[np.bool_]:
     ImageFileError
         Where it is no image.
     """
-    return np.asarray(load(path).counts > 0.0)
+    return np.asarray(load(path).shown > 0.0)
 
 
 def _masked(picture: Picture, mask: NDArray[np.bool_] | None) -> Picture:
@@ -179,10 +179,7 @@ def _masked(picture: Picture, mask: NDArray[np.bool_] | None) -> Picture:
     if mask.shape != picture.shape:
         raise ValueError(f'the mask has {mask.shape[1]} x {mask.shape[0]} pixels, the image '
                          f'{picture.shape[1]} x {picture.shape[0]}')
-    n = picture.spacing
-    height, width = (size // n * n for size in mask.shape)
-    whole = mask[:height, :width].reshape(height // n, n, width // n, n).all(axis=(1, 3))
-    return picture._replace(counts=np.where(whole, picture.counts, np.nan).astype(np.float32))
+    return picture.masked(mask)
 
 
 def _measure_file(path: Path, config: CentroidConfig, mask: NDArray[np.bool_] | None
