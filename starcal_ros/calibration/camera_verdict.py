@@ -68,6 +68,8 @@ _ADVICE = {
     residual_tests.SCATTER_CELLS: 'the noise depends on the place: state a sigma for each star',
     residual_tests.SCATTER_MAGNITUDE: 'the noise depends on the brightness: state a sigma for '
                                       'each star',
+    residual_tests.SCATTER_SIGMA: 'the stars of least sigma, on which the camera hangs, scatter '
+                                  'more than their sigmas say, or less: state them anew',
     residual_tests.HELD_OUT: 'the camera does not hold for images that took no part',
     residual_tests.REJECTIONS: 'most likely the identification, or the nominal camera, is wrong'}
 """What a failed test suggests; those of the filter speak for themselves."""

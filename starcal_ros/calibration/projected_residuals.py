@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from starcal_ros.calibration.fitted_stars import FittedStars
-from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.distributions import f_isf, f_ppf
 from starcal_ros.core.statistic import ALARM, Statistic
 
@@ -107,11 +107,14 @@ class ProjectedResiduals:
 
     def scatter(self, name: str, *groupings: Ints) -> list[Statistic]:
         """Return the test of that group of stars, each (n,), whose scatter differs most."""
+        return self.scatter_of(name, *(
+            group == k for group in groupings for k in range(int(group.max()) + 1)))
+
+    def scatter_of(self, name: str, *groups: Mask) -> list[Statistic]:
+        """Return the test of that of some groups, each (n,), whose scatter differs most."""
         of_star = np.sum(self._z.reshape(-1, 2)**2, axis=1)
-        pairs: list[tuple[float, float]] = []
-        for group in groupings:
-            pairs += zip(np.bincount(group, of_star).tolist(),
-                         np.bincount(group, self._of_star).tolist())
+        pairs = [(float(of_star[group].sum()), float(self._of_star[group].sum()))
+                 for group in groups]
         pairs = [(squares, freedom) for squares, freedom in pairs
                  if LEAST <= freedom <= self.freedom - LEAST]
         half, found = ALARM / 2.0 / max(len(pairs), 1), []

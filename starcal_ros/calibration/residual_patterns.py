@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from starcal_ros.core.arrays import Array, Ints
+from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.camera import Detector
 
 GROUPS = 12
@@ -57,6 +57,16 @@ def quantile(values: Array, parts: int) -> Ints:
     """Return in which of so many parts of like size each value is."""
     edges = np.quantile(values, np.linspace(0.0, 1.0, parts + 1)[1:-1])
     return np.asarray(np.searchsorted(edges, values), np.int64)
+
+
+def weightiest(sigma: Array, share: float) -> Mask:
+    """Tell which stars of the least sigmas have a share of the weight 1 / sigma^2 of all.
+
+    All, where the sigmas are alike.
+    """
+    ordered = np.sort(sigma)
+    weight = np.cumsum(1.0 / ordered**2)
+    return np.asarray(sigma <= ordered[np.searchsorted(weight, share * weight[-1])])
 
 
 def of_groups(group: Ints) -> Array:

@@ -50,7 +50,7 @@ from starcal_ros.calibration.bundle_adjustment import Adjusted
 from starcal_ros.calibration.fitted_stars import FittedStars
 from starcal_ros.calibration.projected_residuals import LEAST, ProjectedResiduals
 from starcal_ros.calibration.residual_patterns import (cell, lens_terms, of_groups, of_runs,
-                                                       phase_terms, quantile)
+                                                       phase_terms, quantile, weightiest)
 from starcal_ros.core.arrays import Array, Mask
 from starcal_ros.core.camera import Detector
 from starcal_ros.core.camera_estimate import CameraEstimate
@@ -65,12 +65,14 @@ LEVEL, REJECTIONS = 'NIS of the centroids', 'share of rejected stars'
 LENS, CELLS, PHASE = 'lens beyond the model', 'mean over the detector', 'mean over the pixel'
 TIME, AGREEMENT = 'camera from frame to frame', 'camera of the method against these stars'
 SCATTER_CELLS, SCATTER_MAGNITUDE = 'scatter over the detector', 'scatter over the magnitude'
+SCATTER_SIGMA = 'scatter over the stated sigma'
 IMAGES = 'images that ask for another camera'
 AIR = 'air of another time, or none'
 HELD_OUT = 'held-out images against fitted ones'
 
 _FINE, _COARSE = 8, 4   # cells along each side, at most
 _RINGS, _BRIGHTNESSES = 4, 5
+_SHARES = 0.5, 0.25     # of the weight of all stars
 
 AS_STATED = (1.0,) * 7
 """Factors of a camera whose sigmas are right."""
@@ -165,6 +167,10 @@ def consistency(stars: FittedStars, estimate: CameraEstimate, detector: Detector
             factors.append(factors[0] * found[-1].value)
     found += left.scatter(SCATTER_CELLS, cell(stars.uv, detector, _COARSE),
                           quantile(np.linalg.norm(stars.uv, axis=1), _RINGS))
+    by_weight = left.scatter_of(SCATTER_SIGMA, *(
+        weightiest(stars.sigma, share) for share in _SHARES))
+    found += by_weight
+    factors += [factors[0] * each.value for each in by_weight if each.value > each.high]
     known = np.isfinite(stars.magnitude)
     if known.all():
         found += left.scatter(SCATTER_MAGNITUDE, quantile(stars.magnitude, _BRIGHTNESSES))

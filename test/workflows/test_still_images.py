@@ -176,6 +176,25 @@ def test_a_stated_sigma_is_held_against_the_residuals(stated, word, tmp_path):
     assert outcome['variance_factor']['centroids'] == level['value']
 
 
+@pytest.mark.parametrize('factor, is_told', [(1.0, False), (2.5, True)])
+def test_stars_that_scatter_more_than_their_sigma_says_are_told(factor, is_told, tmp_path):
+    """A quarter, the bright ones say: the camera hangs on them, the mean square does not."""
+    path, rng = write(tmp_path / 'stars.csv', 8), np.random.default_rng(6)
+    head, *rows = path.read_text().splitlines()
+    stated = np.where(rng.random(len(rows)) < 0.25, 0.1 / factor, 0.1)
+    path.write_text('\n'.join([f'{head},sigma', *(
+        f'{row},{sigma}' for row, sigma in zip(rows, stated))]))
+    outcome = pipeline.calibrate(pipeline.of_table(path, WIDTH, HEIGHT)).outcome
+    test = statistics(outcome)['scatter over the stated sigma'] if is_told else None
+    assert ('scatter over the stated sigma' in statistics(outcome)) == is_told
+    if is_told:
+        assert not test['passed'] and outcome['verdict'] == 'inconsistent'
+        assert 'more than their sigmas say' in outcome['advice']
+        assert 3.0 < outcome['variance_factor']['f_px'] < 8.0
+    else:
+        assert outcome['verdict'] == 'consistent'
+
+
 def test_images_of_too_few_stars_are_not_called_consistent(tmp_path, capsys):
     path, out = write(tmp_path / 'stars.csv', 2), tmp_path / 'camera.json'
     head, *rows = path.read_text().splitlines()

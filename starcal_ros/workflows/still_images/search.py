@@ -146,8 +146,10 @@ class StarSearch:
     @property
     def looked_for(self) -> str:
         """Which fields were."""
+        if self._stated is not None:
+            return f'field of {self._stated[0]:g} to {self._stated[1]:g} deg looked for'
         if self._fov_deg is not None:
-            return f'field of about {self._fov_deg:g} deg looked for'
+            return f'fisheye of about {self._fov_deg:g} deg looked for'
         low, high = (min(low for low, _ in (FIELD_DEG, *RARE_DEG)),
                      max(high for _, high in (FIELD_DEG, *RARE_DEG)))
         return f'field of {low:g} to {high:g} deg, and fisheyes, looked for'
