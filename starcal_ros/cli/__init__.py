@@ -48,6 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit status."""
     options = parse(arguments)
     try:
+        from starcal_ros.core.collector import look_seldom
+        look_seldom()
         from starcal_ros.cli.terminal import onto_output, printing
         with printing(getattr(options, 'json', False)):
             status = int(options.run(options))

@@ -17,12 +17,14 @@ import signal
 import sys
 
 from starcal_ros.config import middleware
+from starcal_ros.core.collector import look_seldom
 
 
 def _program(name: str) -> Callable[[], int]:
     def main() -> int:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         os.environ.update(middleware.profile())
+        look_seldom()
         status: int = import_module(f'starcal_ros.nodes.{name}').main()
         return status
     return main

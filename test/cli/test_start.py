@@ -55,6 +55,14 @@ def test_the_help_imports_no_library_and_no_command():
         'starcal_ros', 'starcal_ros.cli']
 
 
+def test_a_command_seldom_looks_for_garbage():
+    script = ("import gc; from starcal_ros.cli import main; main(['config', 'schema']); "
+              'print(gc.get_threshold()[0])')
+    done = subprocess.run([sys.executable, '-c', script], text=True, capture_output=True,
+                          check=True, env={'PYTHONPATH': str(TOP)})
+    assert int(done.stdout.split()[-1]) >= 10_000
+
+
 def test_each_command_is_imported_alone():
     modules = imported(RUN, 'watch', '--help')
     assert not libraries(modules)

@@ -48,6 +48,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from starcal_ros.config.parameter import ConfigError
+from starcal_ros.core import collector
 from starcal_ros.core.units import NS
 from starcal_ros.messages.cdr import RecordError
 from starcal_ros.nodes.base import command_line, ending
@@ -241,6 +242,7 @@ def _serve(make_nodes: Sequence[Callable[[], Node]], made: list[Node]) -> None:
             nodes.append(_created(make_node))
             executor.add_node(nodes[-1])
             made.append(nodes[-1])
+        collector.keep()
         try:
             while nodes:
                 _turn(executor, nodes)
