@@ -23,7 +23,7 @@ _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
 _FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
 _ARCSEC = 206264.806
 _SCALES = ('SCALE', 'PIXSCALE', 'SECPIX', 'SECPIX1', 'PIXSCAL1')
-_PLAUSIBLE = 0.3, 200.0         # focal lengths in widths of the image: 118 to 0.3 deg
+_PLAUSIBLE = 0.2, 200.0         # focal lengths in widths of the image: a whole sky to 0.3 deg
 
 
 def of_exif(exif: Image.Exif, width: int, height: int) -> float | None:

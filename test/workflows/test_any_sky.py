@@ -117,6 +117,21 @@ def test_fisheyes_are_found_and_said_to_be_no_pinhole(
         assert abs(found[key] - true) < 4.0 * found['sigma'][key] < 0.2, key
 
 
+def test_a_file_may_tell_of_a_fisheye(images, monkeypatch):
+    """8 mm before a small sensor: no other focal length is tried."""
+    monkeypatch.setattr(search, 'FIELD_DEG', (8.0, 9.0))
+    monkeypatch.setattr(search.StarSearch, '_fisheyes', lambda self, shape: [])
+    monkeypatch.setattr(search, 'RARE_DEG', ())
+    all_sky(images, 153.0, count=2)
+    for path in [*images.iterdir()]:
+        unit = fits.PrimaryHDU(np.asarray(Image.open(path))[::-1])
+        unit.header['FOCALLEN'], unit.header['XPIXSZ'] = 8.0, 8000.0 / 150.0
+        unit.writeto(path.with_suffix('.fits'))
+        path.unlink()
+    _, found = run(images, '--lens', 'equidistant')
+    assert found['f_px'] == pytest.approx(153.0, abs=0.1) and found['counts']['images'] == 2
+
+
 def test_a_field_of_which_nothing_is_known_may_be_too_narrow(images, monkeypatch, capsys):
     monkeypatch.setattr(search, 'RARE_DEG', ((40.0, 55.0),))
     rng = np.random.default_rng(1)

@@ -205,21 +205,14 @@ class StarSearch:
             return
         yield from self._others(image)
         if image.focal_px is not None:
-            yield _about(_field_deg(image.focal_px, image), _TOLD_ERROR)
+            yield from _of_focal_length(image.focal_px, image, _TOLD_ERROR)
         yield FIELD_DEG
 
     def _others(self, image: Measured) -> Iterator[Optics]:
-        """Yield the fields of other images of the same size, upright or lying.
-
-        What distorts a wide field as a fisheye does is identified as the one, or as the other.
-        """
+        """Yield the fields of other images of the same size, upright or lying."""
         for focal_px in (*self._known.get(image.shape, ()),
                          *self._known.get(image.shape[::-1], ())):
-            field_deg = _field_deg(focal_px, image)
-            if field_deg < _WIDEST_TOLD_DEG:
-                yield _about(field_deg, _KNOWN_ERROR)
-            if image.shape[1] / focal_px > np.radians(_FISHEYE_DEG):
-                yield Fisheye(focal_px)
+            yield from _of_focal_length(focal_px, image, _KNOWN_ERROR)
 
     def _try(self, image: Measured, fields: Iterable[Optics], found: dict[str, StarImage]) -> None:
         """Look for an image in some fields, and write down its stars or why there are none."""
@@ -288,6 +281,18 @@ class StarSearch:
             return None
         zone = self._zone or taken.tzinfo or timezone.utc
         return unix_ns(taken.replace(tzinfo=zone).astimezone(timezone.utc).isoformat())
+
+
+def _of_focal_length(focal_px: float, image: Measured, error: float) -> Iterator[Optics]:
+    """Yield a pinhole of about a focal length, and a fisheye where its field is wide.
+
+    What distorts a wide field as a fisheye does is identified as the one, or as the other.
+    """
+    field_deg = _field_deg(focal_px, image)
+    if field_deg < _WIDEST_TOLD_DEG:
+        yield _about(field_deg, error)
+    if image.shape[1] / focal_px > np.radians(_FISHEYE_DEG):
+        yield Fisheye(focal_px)
 
 
 def _identifier(detector: Detector, field: Optics, observer: Observer) -> Identifier:
