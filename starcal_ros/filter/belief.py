@@ -57,7 +57,7 @@ class Nominal:
     @classmethod
     def stacked(cls, runs: Sequence[Nominal]) -> Nominal:
         """Return the values of some runs of one filter as those of a batch."""
-        return cls(**{name: np.stack([getattr(run, name) for run in runs])
+        return cls(**{name: _stacked([getattr(run, name) for run in runs])
                       for name in cls.names()}, augmentation=runs[0].augmentation)
 
     def of_run(self, run: int) -> Nominal:
@@ -139,7 +139,7 @@ class Belief:
     def stacked(cls, runs: Sequence[Belief]) -> Belief:
         """Return what some runs of one filter believe as a batch."""
         return cls(Nominal.stacked([run.nominal for run in runs]),
-                   np.stack([run.error for run in runs]), np.stack([run.root for run in runs]))
+                   _stacked([run.error for run in runs]), _stacked([run.root for run in runs]))
 
     def of_run(self, run: int) -> Belief:
         """Return what one run of a batch believes."""
@@ -205,3 +205,9 @@ class Belief:
         """Return the normalised estimation error squared, (...), of n degrees of freedom."""
         error = self.estimate.minus(truth) / self.nominal.augmentation.scale
         return np.sum(np.linalg.solve(self.root, error[..., None])**2, axis=(-2, -1))
+
+
+def _stacked(parts: list[Array]) -> Array:
+    """Return arrays of one shape as `numpy.stack` does, which looks at each of them twice."""
+    shape = parts[0].shape
+    return np.concatenate(parts).reshape(len(parts), *shape) if shape else np.array(parts)

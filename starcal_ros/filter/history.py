@@ -173,8 +173,9 @@ class HistoryKeeper:
 
     def _add_turns(self) -> None:
         C_gi = np.array(self._C_gi).reshape(-1, 3, 3)
-        for turn in np.abs(rotation.log(C_gi[1:] @ np.swapaxes(C_gi[:-1], -1, -2))):
-            self._turned += turn            # one by one: the same whatever the block
+        turns = np.abs(rotation.log(C_gi[1:] @ np.swapaxes(C_gi[:-1], -1, -2)))
+        # One after the other, and so the same whatever the block.
+        self._turned = np.add.accumulate(np.concatenate((self._turned[None], turns)))[-1]
         self._C_gi = self._C_gi[-1:]
 
     def _end_block(self) -> None:

@@ -76,5 +76,6 @@ class Likelihood:
             self._first_ns = int(stamp_ns[0])
         begun = (stamp_ns - self._first_ns) * NS >= BEGIN_S
         gains = np.where(np.isfinite(nis), used * self._free - log_det - nis, 0.0)[begun]
-        for gain in gains:              # in the same order, however many come at once
-            self.twice_log = self.twice_log + gain
+        # One after the other, and so the same however many come at once.
+        self.twice_log = np.add.accumulate(np.concatenate((
+            np.broadcast_to(self.twice_log, (1, *gains.shape[1:])), gains)))[-1]

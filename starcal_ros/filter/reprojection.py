@@ -19,16 +19,17 @@ class Reprojection:
     """The residuals of the last ten minutes."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[int, Array, int]] = deque()
+        self._recent: deque[tuple[int, list[float], int]] = deque()
 
     def add(self, stamp_ns: Ints, squares: Array, used: Ints) -> None:
         """Know of frames: the sums of their squared residuals, (m, 2) [px^2], of so many stars."""
-        self._recent.extend(zip(stamp_ns.tolist(), squares, used.tolist()))
-        while self._recent[0][0] < stamp_ns[-1] - REPROJECTION_S / NS:
+        self._recent.extend(zip(stamp_ns.tolist(), squares.tolist(), used.tolist()))
+        since_ns = int(stamp_ns[-1]) - REPROJECTION_S / NS
+        while self._recent[0][0] < since_ns:
             self._recent.popleft()
 
     @property
     def rms_px(self) -> Array:
         """RMS residual of the stars used, u and v, (2,) [px]."""
-        squares = sum((part for _, part, _ in self._recent), np.zeros(2))
+        squares = np.array([part for _, part, _ in self._recent]).reshape(-1, 2).sum(axis=0)
         return np.sqrt(squares / max(sum(count for *_, count in self._recent), 1))
