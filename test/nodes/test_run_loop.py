@@ -50,6 +50,15 @@ def start(tick: str = 'pass', make: str = 'Subject', *args: str) -> subprocess.P
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+def start_where_a_hangup(does) -> subprocess.Popen:
+    """Start it as from a shell (SIG_DFL) or under `nohup` (SIG_IGN), whatever this runs under."""
+    before = signal.signal(signal.SIGHUP, does)
+    try:
+        return start()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def finish(process: subprocess.Popen) -> tuple[int, str, str]:
     """Return exit status, output and errors, less what the middleware logs about itself."""
     try:
@@ -62,18 +71,14 @@ def finish(process: subprocess.Popen) -> tuple[int, str, str]:
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP] * 2)
 def test_signal_closes_the_node_and_ends_with_status_0(number):
-    process = start()
+    process = start_where_a_hangup(signal.SIG_DFL)
     assert process.stdout.readline() == 'ready\n'
     process.send_signal(number)
     assert finish(process) == (0, 'closed\n', '')
 
 
 def test_a_hangup_that_is_ignored_from_outside_stays_ignored():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)       # as `nohup` does
-    try:
-        process = start()
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    process = start_where_a_hangup(signal.SIG_IGN)
     assert process.stdout.readline() == 'ready\n'
     process.send_signal(signal.SIGHUP)
     time.sleep(0.3)
