@@ -12,6 +12,8 @@ from starcal_ros.evaluation.batch_results import run_batch
 from starcal_ros.reproduction import traces
 from starcal_ros.reproduction.published.fig5 import bias_drift
 
+pytestmark = pytest.mark.slow       # all of them need the runs
+
 # A gyro so coarse that a frame must find its attitude by itself, from its own stars.
 ARW, DURATION_S, RUNS = 1.0, 60.0, 40
 SCENARIO = TAN2018.replace({'simulation.duration_s': DURATION_S, 'gyro.arw_deg_sqrt_h': ARW})
@@ -29,7 +31,6 @@ def mean_square(trace, held_out):
     return ratio.mean(), np.sqrt(2.0 / ratio.size)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('held_out', [False, True])
 def test_residuals_have_the_variance_that_the_filter_states(trace, held_out):
     value, sigma = mean_square(trace, held_out)
@@ -37,7 +38,6 @@ def test_residuals_have_the_variance_that_the_filter_states(trace, held_out):
     assert value == pytest.approx(1.0, abs=1e-3 + 4.0 * sigma)
 
 
-@pytest.mark.slow
 def test_stars_held_out_are_missed_by_more_than_those_used(trace):
     """Of 48 coordinates three are spent on the attitude: 1 - 3 / 48 against 1 + 3 / 38."""
     used, held_out = (np.mean(trace.residual[trace.held_out == part]**2)
@@ -70,7 +70,6 @@ def test_gyro_without_noise_drifts_by_its_bias_alone(tmp_path):
     np.testing.assert_allclose(trace.drift[0, -1], expected, atol=2e-3 * np.abs(expected).max())
 
 
-@pytest.mark.slow
 def test_errors_are_those_of_the_monte_carlo(trace):
     runs = run_batch(SCENARIO, range(1, RUNS + 1))
     np.testing.assert_allclose(trace.error[:, -1], runs.error[:, -1], rtol=1e-12)

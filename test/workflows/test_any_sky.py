@@ -103,7 +103,8 @@ def all_sky(folder, focal_px, count=3):
         save(folder / f'{k}.png', eye.counts(uv[seen], eye.stars.magnitude[seen]))
 
 
-@pytest.mark.parametrize('focal_px, words', [(153.0, ['--fov', '240']), (400.0, [])])
+@pytest.mark.parametrize('focal_px, words', [
+    (153.0, ['--fov', '240']), pytest.param(400.0, [], marks=pytest.mark.slow)])
 def test_fisheyes_are_found_and_said_to_be_no_pinhole(
         images, focal_px, words, capsys, monkeypatch):
     monkeypatch.setattr(search, 'RARE_DEG', ((85.0, 94.0),))       # for the sake of time
