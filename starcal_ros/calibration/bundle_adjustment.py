@@ -38,7 +38,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from starcal_ros.calibration.bundle_problem import (MIN_STARS, BundleProblem, BundleState,
-                                                    Observations)
+                                                    Observations, SeenSpots)
 from starcal_ros.calibration.normal_equations import FOCAL, BundleStep, NormalEquations
 from starcal_ros.core import robust
 from starcal_ros.core.arrays import Array, Ints, Mask
@@ -137,19 +137,17 @@ def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, l
         intrinsics = np.concatenate((
             intrinsics[:FOCAL], mean[FOCAL:FOCAL + 1], intrinsics[FOCAL + 1:]))
     problem = BundleProblem(spots, mean, lens, prior_covariance, own_f_sigma)
-    state = BundleState(intrinsics, C_si, points, own)
+    seen = problem.look(BundleState(intrinsics, C_si, points, own))
     used: Mask = np.ones(len(spots.frame), bool)
     for width in widths[:-1]:
-        state, _ = _settle(problem, state, used, width, iterations)
+        seen, _ = _settle(problem, seen, used, width, iterations)
     for last in (widths[-1], None):
-        state, scale = _settle(problem, state, used, last, iterations)
-        residual = problem.residual(state)
-        length = np.linalg.norm(residual, axis=-1) / spots.sigma
+        seen, scale = _settle(problem, seen, used, last, iterations)
+        length = np.linalg.norm(seen.residual, axis=-1) / spots.sigma
         used = _enough(spots.frame, length**2 <= gate * scale**2)
-    weight = np.where(used, 1.0 / spots.sigma, 0.0)
-    normal = problem.normal(state, weight)
+    state, normal = seen.state, problem.normal(seen, np.where(used, 1.0 / spots.sigma, 0.0))
     found = Adjusted(state.intrinsics, normal.camera_covariance(), state.C_si, state.points,
-                     residual, used, scale, problem.freedom(used))
+                     seen.residual, used, scale, problem.freedom(used))
     return _with_own(found, state, normal) if own_f_sigma else found
 
 
@@ -165,41 +163,45 @@ def _with_own(found: Adjusted, state: BundleState, normal: NormalEquations) -> A
                    own_f=np.stack((own, np.sqrt(np.diag(of_frames))), axis=-1))
 
 
-def _settle(problem: BundleProblem, state: BundleState, used: Mask, width: float | None,
-            iterations: int) -> tuple[BundleState, float]:
+def _settle(problem: BundleProblem, seen: SeenSpots, used: Mask, width: float | None,
+            iterations: int) -> tuple[SeenSpots, float]:
     """Iterate to the minimum; return it and the scale of the residuals.
 
     All spots used count alike where there is no width.
     """
     sigma = problem.spots.sigma
-    residual = problem.residual(state)
     scale = 1.0
     for _ in range(iterations):
-        length = np.linalg.norm(residual, axis=-1) / sigma
+        length = np.linalg.norm(seen.residual, axis=-1) / sigma
         scale = max(robust.scale_of(length[used]), 1e-9)
         weight = np.where(used, 1.0 / sigma, 0.0)
         if width is not None:
             weight = weight / robust.sigma_factor(length, scale, width)
-        normal = problem.normal(state, weight, residual)
+        normal = problem.normal(seen, weight)
         step = normal.solve()
-        cost = _cost(residual, weight, problem, state)
+        cost = _cost(problem, seen, weight)
         for _ in range(_HALVINGS):
-            moved = problem.moved(state, step)
-            residual = problem.residual(moved)
-            if _cost(residual, weight, problem, moved) <= cost:
+            moved = problem.look(problem.moved(seen.state, step))
+            if _cost(problem, moved, weight) <= cost:
                 break
             step = BundleStep(*(0.5 * part for part in step))
-        state = moved
-        sigmas = np.sqrt(np.diag(normal.camera_covariance()))
-        if (np.abs(step.camera) <= _CONVERGED * sigmas).all() and (np.abs(
-                step.attitude[:, :3]).max() < 1e-3 * ARCSEC and np.abs(
-                step.attitude[:, 3:]).max(initial=0.0) < _OWN_CONVERGED):
+        seen = moved
+        if _rests(step, normal):
             break
-    return state, scale
+    return seen, scale
 
 
-def _cost(residual: Array, weight: Array, problem: BundleProblem, state: BundleState) -> float:
-    misfit = np.sum((residual * weight[:, None])**2)
+def _rests(step: BundleStep, normal: NormalEquations) -> bool:
+    """Tell whether a step was too small to matter; the camera, which costs most, comes last."""
+    return bool(
+        np.abs(step.attitude[:, :3]).max() < 1e-3 * ARCSEC
+        and np.abs(step.attitude[:, 3:]).max(initial=0.0) < _OWN_CONVERGED
+        and (np.abs(step.camera)
+             <= _CONVERGED * np.sqrt(np.diag(normal.camera_covariance()))).all())
+
+
+def _cost(problem: BundleProblem, seen: SeenSpots, weight: Array) -> float:
+    misfit, state = np.sum((seen.residual * weight[:, None])**2), seen.state
     return float(misfit + np.sum((problem.prior @ problem.offset(state))**2)
                  + problem.own_information * np.sum((state.own / problem.own_unit)**2))
 

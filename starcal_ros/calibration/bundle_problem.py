@@ -70,6 +70,27 @@ class BundleState(NamedTuple):
     own: Array = np.empty(0)
 
 
+class SeenSpots(NamedTuple):
+    """What the spots are at a state, Eq. (B.1).
+
+    Attributes
+    ----------
+    state : BundleState
+    r_s : (m, 3) array
+        Directions in s; the boresight where the camera can not see them.
+    residual : (m, 2) array
+        Measured minus predicted centroids [px].
+    rows : (m, 2, k) array
+        Derivatives of the predicted ones by the attitude, 3 or 4 columns, and by all intrinsics,
+        and minus the residual.
+    """
+
+    state: BundleState
+    r_s: Array
+    residual: Array
+    rows: Array
+
+
 class BundleProblem:
     """The spots and the prior; residuals and normal equations of a state."""
 
@@ -84,7 +105,10 @@ class BundleProblem:
         self.scale = lens.scale[self.free]
         block = prior_covariance[np.ix_(self.free, self.free)] / np.outer(self.scale, self.scale)
         self.prior = np.linalg.inv(np.linalg.cholesky(block))       # a root of the information
+        self.known_before = self.prior.T @ self.prior
         self.first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
+        edges = (2 * np.append(self.first, len(spots.frame))).tolist()
+        self.parts = [slice(*pair) for pair in zip(edges, edges[1:])]     # of u and v, in rows
         self.known = spots.point < 0
         self.pinned = self._pinned()
 
@@ -121,13 +145,6 @@ class BundleProblem:
             return self.spots.u_i
         return np.where(self.known[:, None], self.spots.u_i, state.points[self.spots.point])
 
-    def sight(self, state: BundleState) -> tuple[Array, Mask]:
-        """Return the directions in s, and which lie ahead; others become the boresight."""
-        u = self.directions(state)
-        r_s = (state.C_si[self.spots.frame] @ u[..., None])[..., 0]
-        ahead = self.lens.ahead(r_s)
-        return np.where(ahead[:, None], r_s, (0.0, 0.0, 1.0)), ahead
-
     def cameras(self, state: BundleState) -> Array:
         """Return the camera, (p,), or that of each spot, (m, p)."""
         if not self.own_information:
@@ -136,11 +153,18 @@ class BundleProblem:
         every[:, FOCAL] += state.own[self.spots.frame]
         return every
 
-    def residual(self, state: BundleState) -> Array:
-        """Return measured minus predicted centroids, (m, 2) [px]."""
-        r_s, ahead = self.sight(state)
-        uv = self.lens.project(r_s[:, None], self.cameras(state))[:, 0]
-        return np.where(ahead[:, None], self.spots.uv - uv, _BEHIND_PX)
+    def look(self, state: BundleState) -> SeenSpots:
+        """Return what the spots are at a state."""
+        u = self.directions(state)
+        r_s = np.einsum('mij,mj->mi', state.C_si[self.spots.frame], u)
+        ahead = self.lens.ahead(r_s)[:, None]
+        r_s = np.where(ahead, r_s, (0.0, 0.0, 1.0))
+        uv, H_a, H_c = (each[:, 0] for each in self.lens.linearize(
+            r_s[:, None], self.cameras(state)))
+        residual = np.where(ahead, self.spots.uv - uv, _BEHIND_PX)
+        own = (H_c[..., FOCAL:FOCAL + 1] * self.own_unit,) if self.own_information else ()
+        return SeenSpots(state, r_s, residual,
+                         np.concatenate((H_a, *own, H_c, -residual[..., None]), axis=-1))
 
     def moved(self, state: BundleState, step: BundleStep) -> BundleState:
         """Return the state freed of an error."""
@@ -152,50 +176,43 @@ class BundleProblem:
         C_si = rotation.orthonormalized(rotation.exp(-step.attitude[:, :3]) @ state.C_si)
         return BundleState(state.intrinsics - step.camera, C_si, points, state.own - own)
 
-    def normal(self, state: BundleState, weight: Array, residual: Array | None = None
-               ) -> NormalEquations:
+    def normal(self, seen: SeenSpots, weight: Array) -> NormalEquations:
         """Return the normal equations, linear about a state.
 
         Parameters
         ----------
-        state : BundleState
+        seen : SeenSpots
         weight : (m,) array
             Of each spot: one over its sigma, or less [1/px].
-        residual : (m, 2) array, optional
-            At the state; where the covariance alone is wanted there is none.
         """
-        spots, p = self.spots, len(state.points)
-        r_s, _ = self.sight(state)
-        _, H_a, H_c = (each[:, 0] for each in self.lens.linearize(
-            r_s[:, None], self.cameras(state)))
-        w = weight[:, None, None]
-        if self.own_information:
-            H_a = np.concatenate((H_a, H_c[..., FOCAL:FOCAL + 1] * self.own_unit), axis=-1)
-        H_a, H_c = w * H_a, w * H_c[..., self.free] * self.scale
-        z = np.zeros((len(weight), 2)) if residual is None else -residual * weight[:, None]
-
-        def per_frame(left: Array, right: Array) -> Array:
-            return np.add.reduceat(np.swapaxes(left, -1, -2) @ right, self.first, axis=0)
-
-        N_aa, b_a = per_frame(H_a, H_a), per_frame(H_a, z[..., None])[..., 0]
+        spots, state, p = self.spots, seen.state, len(seen.state.points)
+        rows = seen.rows * weight[:, None, None]
+        size = rows.shape[-1] - 1 - len(self.free)      # of the block of an attitude
+        flat = rows.reshape(2 * len(weight), -1)
+        of_frame = np.empty((len(self.first), size, flat.shape[1]))
+        for k, part in enumerate(self.parts):
+            np.dot(flat[part, :size].T, flat[part], out=of_frame[k])
+        of_camera = flat[:, size:].T @ flat[:, size:]
+        free = np.flatnonzero(self.free)
+        N_aa, N_ac, b_a = np.split(of_frame, (size, -1), axis=-1)
+        b_a = b_a[..., 0]
         if self.own_information:
             N_aa[:, 3, 3] += self.own_information
             b_a[:, 3] += self.own_information * state.own / self.own_unit
         else:
             N_aa[self.pinned] += np.eye(3) / _PINNED**2
-        known = self.prior.T @ self.prior
-        rows = H_c.reshape(2 * len(weight), len(self.scale))
-        N_cc = rows.T @ rows + known
-        b_c = rows.T @ z.reshape(-1) + known @ self.offset(state)
+        N_cc = of_camera[np.ix_(free, free)] * np.outer(self.scale, self.scale) + self.known_before
+        b_c = of_camera[free, -1] * self.scale + self.known_before @ self.offset(state)
         d = np.flatnonzero(~self.known)
-        H_d = np.empty((0, 2, 2))
+        H_d, (H_a, H_c, z) = np.empty((0, 2, 2)), np.split(rows[d], (size, -1), axis=-1)
         if p:
             T = state.C_si[spots.frame[d]] @ _tangent(state.points[spots.point[d]])
             # A rotation by r x dr moves r by dr.
-            H_d = H_a[d] @ np.cross(r_s[d, :, None], T, axis=1)
+            H_d = H_a @ np.cross(seen.r_s[d, :, None], T, axis=1)
         return NormalEquations(
-            N_aa, per_frame(H_a, H_c), b_a, N_cc, b_c, self.free, self.lens.scale,
-            PointRows(spots.frame[d], spots.point[d], p, H_d, H_a[d], H_c[d], z[d]))
+            N_aa, N_ac[..., free] * self.scale, b_a, N_cc, b_c, self.free, self.lens.scale,
+            PointRows(spots.frame[d], spots.point[d], p, H_d, H_a, H_c[..., free] * self.scale,
+                      z[..., 0]))
 
 
 def _tangent(u: Array) -> Array:

@@ -292,13 +292,14 @@ def test_a_point_of_which_no_spot_is_left_stays_and_tells_nothing():
     problem = BundleProblem(unidentified, START, LENS, WIDE)
     state = BundleState(START, C_si, u[seen])
     lost = unidentified.point == 5
-    normal = problem.normal(state, np.where(lost, 0.0, 1.0 / SIGMA), problem.residual(state))
+    normal = problem.normal(problem.look(state), np.where(lost, 0.0, 1.0 / SIGMA))
     step = normal.solve()
     assert not step.point[5].any() and np.isfinite(step.camera).all()
     without = unidentified._replace(point=np.where(unidentified.point > 5, unidentified.point - 1,
                                                    unidentified.point))
     without = Observations(*(part[~lost] for part in without))
-    other = BundleProblem(without, START, LENS, WIDE).normal(
-        state._replace(points=np.delete(state.points, 5, axis=0)),
+    problem = BundleProblem(without, START, LENS, WIDE)
+    other = problem.normal(
+        problem.look(state._replace(points=np.delete(state.points, 5, axis=0))),
         np.full((~lost).sum(), 1.0 / SIGMA))
     np.testing.assert_allclose(normal.camera_covariance(), other.camera_covariance(), rtol=1e-6)
