@@ -5,13 +5,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from starcal_ros.core.units import NS
 from starcal_ros.files.output import whole
-from starcal_ros.filter.history import History
 from starcal_ros.filter.states import CALIBRATED, UNIT
 from starcal_ros.report.states import LABELS, SIGMA_UNITS, errors
+
+if TYPE_CHECKING:
+    from starcal_ros.filter.history import History
 
 
 def figure(history: History, truth: dict[str, Any] | None, path: str | Path) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import re
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -16,9 +16,11 @@ from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS_KEYS
 from starcal_ros.core.units import ARCSEC
 from starcal_ros.files.foreign import literal
-from starcal_ros.filter.history import History
 from starcal_ros.filter.states import CALIBRATED, EPSILON, UNIT
 from starcal_ros.core.verdict_words import INCONSISTENT
+
+if TYPE_CHECKING:
+    from starcal_ros.filter.history import History
 
 LABELS = ('ε_x', 'ε_y', 'ε_z', 'Ψ_x', 'Ψ_y', 'Ψ_z', 'u0', 'v0', 'f', 'k1', 'k2', 'p1', 'p2')
 _SYMBOLS = {'phi': 'φ', 'epsilon': 'ε', 'psi': 'Ψ'}

@@ -76,6 +76,12 @@ def test_info_imports_what_reads_recordings(tmp_path):
         'lz4', 'mcap', 'numpy', 'rich', 'yaml', 'zstandard'}
 
 
+def test_images_do_without_the_filter():
+    modules = imported(IMPORT, 'starcal_ros.workflows.still_images.pipeline', 'starcal_ros.report',
+                       'starcal_ros.calibration.methods.bundle')
+    assert 'numba' not in libraries(modules)
+
+
 @pytest.mark.slow
 def test_nodes_import_nothing_that_they_do_not_run():
     """And scipy when they first need it, which those that simulate and play never do."""
