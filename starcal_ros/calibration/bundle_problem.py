@@ -102,8 +102,9 @@ class BundleProblem:
         if own_f_sigma:
             self.free[FOCAL] = False
             self.own_information = (self.own_unit / own_f_sigma)**2
-        self.scale = lens.scale[self.free]
-        block = prior_covariance[np.ix_(self.free, self.free)] / np.outer(self.scale, self.scale)
+        self.columns, self.scale = np.flatnonzero(self.free), lens.scale[self.free]
+        self.square = np.outer(self.scale, self.scale)
+        block = prior_covariance[np.ix_(self.free, self.free)] / self.square
         self.prior = np.linalg.inv(np.linalg.cholesky(block))       # a root of the information
         self.known_before = self.prior.T @ self.prior
         self.first = np.flatnonzero(np.diff(spots.frame, prepend=-1))
@@ -193,26 +194,25 @@ class BundleProblem:
         for k, part in enumerate(self.parts):
             np.dot(flat[part, :size].T, flat[part], out=of_frame[k])
         of_camera = flat[:, size:].T @ flat[:, size:]
-        free = np.flatnonzero(self.free)
-        N_aa, N_ac, b_a = np.split(of_frame, (size, -1), axis=-1)
-        b_a = b_a[..., 0]
+        N_aa, b_a = of_frame[..., :size], of_frame[..., -1]
         if self.own_information:
             N_aa[:, 3, 3] += self.own_information
             b_a[:, 3] += self.own_information * state.own / self.own_unit
         else:
             N_aa[self.pinned] += np.eye(3) / _PINNED**2
-        N_cc = of_camera[np.ix_(free, free)] * np.outer(self.scale, self.scale) + self.known_before
-        b_c = of_camera[free, -1] * self.scale + self.known_before @ self.offset(state)
+        N_cc = of_camera[self.columns[:, None], self.columns] * self.square + self.known_before
+        b_c = of_camera[self.columns, -1] * self.scale + self.known_before @ self.offset(state)
         d = np.flatnonzero(~self.known)
-        H_d, (H_a, H_c, z) = np.empty((0, 2, 2)), np.split(rows[d], (size, -1), axis=-1)
+        H_a, H_c, H_d = rows[d, :, :size], rows[d, :, size:-1], np.empty((0, 2, 2))
         if p:
             T = state.C_si[spots.frame[d]] @ _tangent(state.points[spots.point[d]])
             # A rotation by r x dr moves r by dr.
             H_d = H_a @ np.cross(seen.r_s[d, :, None], T, axis=1)
         return NormalEquations(
-            N_aa, N_ac[..., free] * self.scale, b_a, N_cc, b_c, self.free, self.lens.scale,
-            PointRows(spots.frame[d], spots.point[d], p, H_d, H_a, H_c[..., free] * self.scale,
-                      z[..., 0]))
+            N_aa, of_frame[..., size:-1][..., self.columns] * self.scale, b_a, N_cc, b_c,
+            self.free, self.lens.scale,
+            PointRows(spots.frame[d], spots.point[d], p, H_d, H_a,
+                      H_c[..., self.columns] * self.scale, rows[d, :, -1]))
 
 
 def _tangent(u: Array) -> Array:

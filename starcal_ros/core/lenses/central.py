@@ -108,11 +108,16 @@ class CentralLens(ABC):
         """Return centroids (..., n, 2) and their derivatives by rotation and values."""
         m, by_direction, by_coefficient = self.image(r_s * _OPTICAL, _coefficients(values))
         f = values[..., None, 2:3]
-        H_rotation = f[..., None] * np.cross(r_s[..., None, :], by_direction * _OPTICAL)
         H_values = np.empty((*m.shape, len(self.parameters)))
         H_values[..., :2] = np.eye(2)
         H_values[..., 2] = m
-        H_values[..., 3:] = f[..., None] * by_coefficient
+        np.multiply(f[..., None], by_coefficient, out=H_values[..., 3:])
+        H_rotation = np.empty((*m.shape, 3))
+        x, y, z = np.moveaxis(r_s[..., None, :], -1, 0)
+        a, b, c = np.moveaxis(by_direction, -1, 0)      # r x (-a, -b, c); np.cross takes long
+        H_rotation[..., 0] = f * (y * c + z * b)
+        H_rotation[..., 1] = -f * (z * a + x * c)
+        H_rotation[..., 2] = f * (y * a - x * b)
         return values[..., None, :2] + f * m, H_rotation, H_values
 
 

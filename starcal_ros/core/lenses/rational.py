@@ -42,14 +42,15 @@ class RationalLens(PinholeLens):
         ab = a * b
         m = np.stack((a * R + 2.0 * p1 * ab + p2 * (q + 2.0 * a * a),
                       b * R + p1 * (q + 2.0 * b * b) + 2.0 * p2 * ab), axis=-1)
-        mixed = ab * bend + 2.0 * (p1 * a + p2 * b)
-        slope = np.stack((
-            np.stack((R + a * a * bend + 2.0 * p1 * b + 6.0 * p2 * a, mixed), axis=-1),
-            np.stack((mixed, R + b * b * bend + 6.0 * p1 * b + 2.0 * p2 * a), axis=-1)), axis=-2)
-        radial = np.stack((q, q * q, q**3, -R * q, -R * q * q, -R * q**3), axis=-1) / (
-            below[..., None])
-        by = np.empty((*m.shape, 8))
-        by[..., [0, 1, 4, 5, 6, 7]] = np.stack((a, b), axis=-1)[..., None] * radial[..., None, :]
+        slope = np.empty((*m.shape, 2))
+        slope[..., 0, 0] = R + a * a * bend + 2.0 * p1 * b + 6.0 * p2 * a
+        slope[..., 0, 1] = slope[..., 1, 0] = ab * bend + 2.0 * (p1 * a + p2 * b)
+        slope[..., 1, 1] = R + b * b * bend + 6.0 * p1 * b + 2.0 * p2 * a
+        by, power = np.empty((*m.shape, 8)), q / below
+        for above, under in ((0, 5), (1, 6), (4, 7)):       # k1 and k4, k2 and k5, k3 and k6
+            by[..., 0, above], by[..., 1, above] = a * power, b * power
+            by[..., under] = -R[..., None] * by[..., above]
+            power = power * q
         by[..., 0, 2] = by[..., 1, 3] = 2.0 * ab
         by[..., 1, 2], by[..., 0, 3] = q + 2.0 * b * b, q + 2.0 * a * a
         return m, slope, by
