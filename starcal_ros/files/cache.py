@@ -22,6 +22,7 @@ MOST = 6
 """Files that are kept."""
 
 _DIGEST = '.sha256'
+_PART = 1 << 18         # bytes that are read at once: memory for a whole file takes as long as it
 
 
 def folder() -> Path:
@@ -68,4 +69,8 @@ def _forget_old(kept: Path) -> None:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    found = hashlib.sha256()
+    with path.open('rb') as stream:
+        while part := stream.read(_PART):
+            found.update(part)
+    return found.hexdigest()
