@@ -5,14 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
 
-import joblib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -126,6 +124,8 @@ def _parts(paths: Sequence[Path], config: CentroidConfig, mask: NDArray[np.bool_
             break
     else:
         return
+    from concurrent.futures.process import BrokenProcessPool
+    import joblib
     try:
         for part in joblib.Parallel(
                 n_jobs=min(joblib.effective_n_jobs(-1), _MOST_AT_ONCE), return_as='generator')(
