@@ -48,6 +48,7 @@ from starcal_ros.core.units import ARCSEC
 _ITERATIONS = 50
 _CONVERGED = 1e-3       # of a sigma; the error left is the square of that
 _OWN_CONVERGED = 1e-6   # of the unit of the focal length: a hundred-thousandth of a pixel
+_NEARLY = 100.0         # times that, where the next width goes on
 _HALVINGS = 8
 _WIDTH = 3.0            # of the robust weight
 
@@ -140,7 +141,7 @@ def adjust(spots: Observations, intrinsics: Array, C_si: Array, points: Array, l
     seen = problem.look(BundleState(intrinsics, C_si, points, own))
     used: Mask = np.ones(len(spots.frame), bool)
     for width in widths[:-1]:
-        seen, _ = _settle(problem, seen, used, width, iterations)
+        seen, _ = _settle(problem, seen, used, width, iterations, _NEARLY)
     for last in (widths[-1], None):
         seen, scale = _settle(problem, seen, used, last, iterations)
         length = np.linalg.norm(seen.residual, axis=-1) / spots.sigma
@@ -164,10 +165,11 @@ def _with_own(found: Adjusted, state: BundleState, normal: NormalEquations) -> A
 
 
 def _settle(problem: BundleProblem, seen: SeenSpots, used: Mask, width: float | None,
-            iterations: int) -> tuple[SeenSpots, float]:
+            iterations: int, ease: float = 1.0) -> tuple[SeenSpots, float]:
     """Iterate to the minimum; return it and the scale of the residuals.
 
-    All spots used count alike where there is no width.
+    All spots used count alike where there is no width. With ease it stops so many times further
+    from the minimum.
     """
     sigma = problem.spots.sigma
     scale = 1.0
@@ -186,23 +188,23 @@ def _settle(problem: BundleProblem, seen: SeenSpots, used: Mask, width: float | 
                 break
             step = BundleStep(*(0.5 * part for part in step))
         seen = moved
-        if _rests(step, normal):
+        if _rests(step, normal, ease):
             break
     return seen, scale
 
 
-def _rests(step: BundleStep, normal: NormalEquations) -> bool:
+def _rests(step: BundleStep, normal: NormalEquations, ease: float) -> bool:
     """Tell whether a step was too small to matter; the camera, which costs most, comes last."""
     return bool(
-        np.abs(step.attitude[:, :3]).max() < 1e-3 * ARCSEC
-        and np.abs(step.attitude[:, 3:]).max(initial=0.0) < _OWN_CONVERGED
-        and (np.abs(step.camera)
-             <= _CONVERGED * np.sqrt(np.diag(normal.camera_covariance()))).all())
+        np.abs(step.attitude[:, :3]).max() < ease * 1e-3 * ARCSEC
+        and np.abs(step.attitude[:, 3:]).max(initial=0.0) < ease * _OWN_CONVERGED
+        and (np.abs(step.camera) <= ease * _CONVERGED * np.sqrt(
+            np.diag(normal.camera_covariance()))).all())
 
 
 def _cost(problem: BundleProblem, seen: SeenSpots, weight: Array) -> float:
-    misfit, state = np.sum((seen.residual * weight[:, None])**2), seen.state
-    return float(misfit + np.sum((problem.prior @ problem.offset(state))**2)
+    misfit, state = (seen.residual * weight[:, None]).ravel(), seen.state
+    return float(misfit @ misfit + np.sum((problem.prior @ problem.offset(state))**2)
                  + problem.own_information * np.sum((state.own / problem.own_unit)**2))
 
 
