@@ -18,11 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-import yaml
 import zstandard
 
 from starcal_ros.core.arrays import Ints
-from starcal_ros.files.documents import load_yaml
 from starcal_ros.files.limits import CHUNK, LimitError
 from starcal_ros.messages.cdr import Messages, RecordError
 from starcal_ros.recording.bag_files import MCAP, BagFiles, find
@@ -336,6 +334,7 @@ def _merge(parts: list[RecordedTopic]) -> RecordedTopic:
 def described(offered: Iterable[str]) -> str:
     """Say what publishers offered, as in 'reliable, volatile, keep_last 100'; '' of nothing."""
     from rosbags.rosbag2.metadata import parse_qos
+    from starcal_ros.files.documents import load_yaml
     words = set()
     for profiles in offered:
         try:
@@ -349,6 +348,7 @@ def described(offered: Iterable[str]) -> str:
 
 def _profiles(of_sqlite: Any) -> str:
     from rosbags.rosbag2.metadata import dump_qos_v9
+    import yaml
     text: str = yaml.safe_dump([dict(each) for each in dump_qos_v9(
         getattr(of_sqlite, 'offered_qos_profiles', []))])
     return text

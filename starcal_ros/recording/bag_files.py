@@ -19,7 +19,6 @@ from typing import Any
 
 import zstandard
 
-from starcal_ros.files.documents import DocumentError, load_yaml
 from starcal_ros.files.foreign import clean
 from starcal_ros.messages.cdr import RecordError
 
@@ -87,6 +86,7 @@ def find(path: Path) -> BagFiles:
 
 
 def _of_folder(path: Path) -> BagFiles:
+    from starcal_ros.files.documents import load_yaml
     metadata = path / METADATA
     try:
         text = metadata.read_text() if metadata.exists() else ''
@@ -98,7 +98,7 @@ def _of_folder(path: Path) -> BagFiles:
         mode = str(info.get('compression_mode') or '').lower()
     except RecordError:
         raise
-    except (OSError, DocumentError, ValueError, LookupError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise RecordError(f'{metadata} cannot be read as the metadata of a rosbag2 directory: '
                           f'{type(error).__name__} {" ".join(str(error).split())}') from error
     missing = [file.name for file in files if not os.path.exists(file)]   # a name may be too long

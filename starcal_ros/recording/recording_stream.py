@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
-import hashlib
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -102,6 +101,7 @@ class RecordingStream:
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of its storage files, in their order."""
+        import hashlib
         digest = hashlib.sha256()
         for file in self._bag.files:
             with file.open('rb') as stream:

@@ -73,7 +73,7 @@ def test_info_imports_what_reads_recordings(tmp_path):
     path = tmp_path / 'run.mcap'
     simulate(TAN2018.replace({'simulation.duration_s': 20.0}), path)
     assert libraries(imported(RUN, 'info', str(path))) == {
-        'lz4', 'mcap', 'numpy', 'rich', 'yaml', 'zstandard'}
+        'lz4', 'mcap', 'numpy', 'rich', 'zstandard'}
 
 
 def test_images_do_without_the_filter():
