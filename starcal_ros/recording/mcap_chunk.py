@@ -79,6 +79,11 @@ class Chunk:
         packed = content[position + 8:position + 8 + n_packed]
         return cls(offset, size, crc, compression, packed, {}, first_ns, last_ns)
 
+    @property
+    def room(self) -> int:
+        """Bytes that its records take, at most: a size that is not believed takes none."""
+        return self.size if self.size <= max(len(self.packed), CHUNK.value) else 0
+
     def decompress(self) -> bytes | memoryview:
         """Return the records of the chunk; RecordError if they cannot be trusted."""
         raw: bytes | memoryview = self.packed

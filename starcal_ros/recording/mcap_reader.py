@@ -188,26 +188,34 @@ class McapFile:
     def read_chunks(self, numbers: Sequence[int], channels: Collection[int],
                     ) -> Iterator[tuple[int, Ints, Messages]]:
         """Read the messages of some channels in a few chunks, as `messages` does."""
-        chunks, raws = {}, []
-        for k in numbers:
-            chunk = self.chunks.chunk(k, channels)
-            raw = self._decompress(chunk)
-            if raw is not None:
-                chunks[k] = chunk
-                raws.append(raw)
+        parts = {k: self.chunks.chunk(k, channels) for k in numbers}
+        data = np.empty(sum(part.room for part in parts.values()) if len(parts) > 1 else 0,
+                        np.uint8)
+        chunks, edges = {}, [0]
+        for k, part in parts.items():
+            raw = self._decompress(part)
+            if raw is None:
+                continue
+            chunks[k] = part
+            edges.append(edges[-1] + len(raw))
+            if len(parts) > 1:          # its memory is that of the next one
+                data[edges[-2]:edges[-1]] = np.frombuffer(raw, np.uint8)
+            else:
+                data = np.frombuffer(raw, np.uint8)
+        data = data[:edges[-1]]
         self.forget()
-        data = np.frombuffer(raws[0] if len(raws) == 1 else b''.join(raws), np.uint8)
-        edges = np.cumsum([0, *map(len, raws)])
         for channel in channels:
-            found = locate(channel, [chunk.index for chunk in chunks.values()], data, edges)
+            found = locate(channel, [chunk.index for chunk in chunks.values()], data,
+                           np.array(edges))
             if found is None:
                 self._warn('the message index is wrong in or after the chunk at byte '
                            f'{next(iter(chunks.values())).offset}: the records are scanned '
                            'instead')
-                for (k, chunk), raw in zip(chunks.items(), raws):
-                    chunk.index, _ = scan(raw)
+                for (k, chunk), low, high in zip(chunks.items(), edges, edges[1:]):
+                    chunk.index, _ = scan(data.data[low:high])
                     self.chunks.set_index(k, chunk.index)
-                found = locate(channel, [chunk.index for chunk in chunks.values()], data, edges)
+                found = locate(channel, [chunk.index for chunk in chunks.values()], data,
+                               np.array(edges))
             if found is not None and len(found[1]):
                 yield channel, *found
 
