@@ -127,7 +127,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     calibration.start(scenario)             # says what is wrong before the reading
     from starcal_ros import report
     from starcal_ros.recording import reader
-    from starcal_ros.recording.measured_images import ImageMeter, as_measured
+    from starcal_ros.recording.measured_images import ImageMeter, as_measured, as_still
     from starcal_ros.results import result
     from starcal_ros.results.attached_truth import attached_truth
     from starcal_ros.results.document import CalibrationError
@@ -138,7 +138,7 @@ def _of_recording(options: argparse.Namespace) -> dict[str, Any]:
     if recording.measured:
         scenario = as_measured(scenario)
         frames, said = _identified(recording, scenario)
-        notices = (*notices, *said)
+        frames, notices = as_still(frames), (*notices, *said)
     method = calibration.start(scenario)
     with progress('calibrating') as on_progress:
         method.add_gyro(recording.gyro)

@@ -33,6 +33,9 @@ SATURATED, BLENDED, EDGE, ELONGATED = 1, 2, 4, 8
 outside the image or not known; a shape that is not the frame's, such as a double star or a
 satellite."""
 
+BEYOND_FIT_PX = 0.01
+"""What no fit of a spot knows of, each axis: uneven pixels, proper motion to the epoch [px]."""
+
 _CANDIDATES, _SHAPE_SPOTS, _SHAPE_ROUNDS = 100, 20, 10
 _SETTLED = 5e-3                 # of the second moments, a change that does not matter
 _LEAST_SHOT = 1e-6              # of the noise: a million electrons of it show no shot noise

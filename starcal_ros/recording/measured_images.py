@@ -5,10 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import hashlib
+
+import numpy as np
 
 from starcal_ros.config.scenario import Scenario
 from starcal_ros.identification import recorded
+from starcal_ros.imaging.centroids import BEYOND_FIT_PX
 from starcal_ros.imaging.spot_meter import SpotMeter
 from starcal_ros.measurements.message_source import MessageSource
 from starcal_ros.measurements.samples import Frames
@@ -22,6 +26,14 @@ _DIGEST_BYTES = 16
 def as_measured(scenario: Scenario) -> Scenario:
     """Return the scenario for frames that were measured: their sigmas hold the trail of a star."""
     return scenario.replace({'star_tracker.smear': False})
+
+
+def as_still(frames: Frames) -> Frames:
+    """Return measured frames with the sigmas that still images in a folder have.
+
+    The camera alone hangs on the brightest stars, and so on what their fits know nothing of.
+    """
+    return replace(frames, sigma=np.hypot(frames.sigma, BEYOND_FIT_PX))
 
 
 class ImageMeter:

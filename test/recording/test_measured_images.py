@@ -238,9 +238,10 @@ def test_images_in_a_recording_give_the_camera_of_a_folder(tmp_path):
                  '--out', str(bagged)]) == 4
     assert main(['intrinsics', str(folder), '--fov', '14.3', '--out', str(stills)]) == 4
     one, other = json.loads(bagged.read_text()), json.loads(stills.read_text())
-    # Here the gate is that of the stated sigmas, which are too small; in a folder they are scaled.
-    sigma_mm = one['intrinsics_sigma']['f_mm'] * one['variance_factor']['f_mm']**0.5
-    assert abs(one['intrinsics']['f_mm'] - 0.016 * other['f_px']) < sigma_mm < 0.006
+    # The same spots with the same sigmas; here saturated and blended ones take part as well.
+    assert one['intrinsics']['f_mm'] / 0.016 == pytest.approx(
+        other['f_px'], abs=other['sigma']['f_px'])
+    assert one['intrinsics_sigma']['f_mm'] * one['variance_factor']['f_mm']**0.5 < 0.006
     assert one['counts']['stars'] == pytest.approx(other['counts']['stars'], rel=0.05)
     assert one['assumed'] == []
     for name, parts in one['residual_trends'].items():

@@ -23,6 +23,7 @@ from starcal_ros.identification.camera_guess import CameraGuess
 from starcal_ros.identification.fisheye_guess import FisheyeGuess
 from starcal_ros.identification.identifier import (MIN_STARS, Identification, Identifier,
                                                    MirroredError)
+from starcal_ros.imaging.centroids import BEYOND_FIT_PX
 from starcal_ros.imaging.spread import rank_in_cell
 from starcal_ros.sky import depth
 from starcal_ros.sky.apparent import Observer
@@ -51,7 +52,6 @@ _FISHEYE_IMAGES = 4     # of which all are tried
 _CORNER_DEG = 50.0      # from the axis, in the narrowest that is tried
 _MORE = 1.1             # times the stars, that a fisheye must have in place of a pinhole
 _CIRCLE = 0.8           # of the short side, that a hemisphere fills in the widest
-_LEAST_SIGMA_PX = 0.01  # what no fit of a spot knows of: uneven pixels, proper motion to the epoch
 _BEST_OF_CELL = 2       # spots of each cell that a second search begins with
 
 Field = tuple[float, float]
@@ -267,7 +267,7 @@ class StarSearch:
         if use.sum() < MIN_STARS:
             return f'{use.sum()} clean stars (not saturated, blended or cut), needs {MIN_STARS}'
         return StarImage(
-            image.name, uv[use], np.hypot(centroids.sigma[use], _LEAST_SIGMA_PX),
+            image.name, uv[use], np.hypot(centroids.sigma[use], BEYOND_FIT_PX),
             found.catalog_id[use], len(uv), stamp_ns,
             bool(self._zone or self._epoch_utc) or image.taken is None
             or image.taken.tzinfo is not None,
