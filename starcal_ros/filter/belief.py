@@ -60,10 +60,16 @@ class Nominal:
         return cls(**{name: _stacked([getattr(run, name) for run in runs])
                       for name in cls.names()}, augmentation=runs[0].augmentation)
 
-    def of_run(self, run: int) -> Nominal:
-        """Return the values of one run of a batch."""
+    def of_run(self, run: int | slice) -> Nominal:
+        """Return the values of one run of a batch, or of some."""
         return Nominal(**{name: getattr(self, name)[run] for name in self.names()},
                        augmentation=self.augmentation)
+
+    @classmethod
+    def joined(cls, batches: Sequence[Nominal]) -> Nominal:
+        """Return the values of all runs of some batches of one filter as those of one."""
+        return cls(**{name: np.concatenate([getattr(batch, name) for batch in batches])
+                      for name in cls.names()}, augmentation=batches[0].augmentation)
 
     @classmethod
     def names(cls) -> list[str]:
@@ -90,9 +96,12 @@ class Nominal:
 
     def moved(self, C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, reading: Array
               ) -> Nominal:
-        """Return other values of T18's states at another time, the optional ones these."""
-        return Nominal(C_gi, bias, C_sg, intrinsics, self.augmented, reading,
-                       self.augmentation, self.steady, self.by_noise, self.moments)
+        """Return T18's states at some other times, (m, ...) arrays; all else as it is here."""
+        kept = (np.broadcast_to(part, (len(bias), *part.shape)) for part in (
+            self.augmented, self.steady, self.by_noise, self.moments))
+        augmented, steady, by_noise, moments = kept
+        return Nominal(C_gi, bias, C_sg, intrinsics, augmented, reading, self.augmentation,
+                       steady, by_noise, moments)
 
     def set_to(self, C_gi: Array, bias: Array, C_sg: Array, intrinsics: Array, error: Array
                ) -> Nominal:
@@ -141,8 +150,15 @@ class Belief:
         return cls(Nominal.stacked([run.nominal for run in runs]),
                    _stacked([run.error for run in runs]), _stacked([run.root for run in runs]))
 
-    def of_run(self, run: int) -> Belief:
-        """Return what one run of a batch believes."""
+    @classmethod
+    def joined(cls, batches: Sequence[Belief]) -> Belief:
+        """Return what all runs of some batches of one filter believe as one batch."""
+        return cls(Nominal.joined([batch.nominal for batch in batches]),
+                   np.concatenate([batch.error for batch in batches]),
+                   np.concatenate([batch.root for batch in batches]))
+
+    def of_run(self, run: int | slice) -> Belief:
+        """Return what one run of a batch believes, or some."""
         return Belief(self.nominal.of_run(run), self.error[run], self.root[run])
 
     @property

@@ -28,7 +28,7 @@ from starcal_ros.filter.attitude_lock import AttitudeLock
 from starcal_ros.filter.attitude_track import AttitudeTrack, AttitudeTracker
 from starcal_ros.filter.belief import Belief, Nominal
 from starcal_ros.filter.error_state import Filter, Update
-from starcal_ros.filter.frame_result import Counts, FrameResult
+from starcal_ros.filter.frame_result import Counts, FrameResult, FrameResults
 from starcal_ros.filter.message_queue import MessageQueue
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.noise import Noise, noise_of
@@ -162,13 +162,18 @@ class Calibrator:
         return self._notices.take()
 
     def process(self, tracked: bool = False) -> Iterator[FrameResult]:
-        """Process the frames that the gyro has reached; to be run to its end.
+        """Process the frames that the gyro has reached, one by one; to be run to its end.
 
         Parameters
         ----------
         tracked : bool
             Give the attitude at the gyro samples before each frame along with it.
         """
+        for results in self.stretches(tracked):
+            yield from results
+
+    def stretches(self, tracked: bool = False) -> Iterator[FrameResults]:
+        """Do as `process`, with what several frames gave at once."""
         yield from self._process_reached(tracked)
         while change := self._intake.settle():
             if change is Change.RESTARTED:
@@ -212,12 +217,12 @@ class Calibrator:
 
     # Inside
 
-    def _process_reached(self, tracked: bool) -> Iterator[FrameResult]:
+    def _process_reached(self, tracked: bool) -> Iterator[FrameResults]:
         frames = self._queue.reached()
         for low in range(0, len(frames), _BATCH):
             yield from self._process(frames[low:low + _BATCH], tracked)
 
-    def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResult]:
+    def _process(self, frames: Frames, tracked: bool) -> Iterator[FrameResults]:
         prepared = self._prepared(frames)
         k = 0
         while k < len(frames):
@@ -229,7 +234,7 @@ class Calibrator:
                 continue
             result = self._single(prepared, k, track)
             if result is not None:
-                yield result
+                yield result.alone
             k += 1
         self._queue.gyro.forget_before(self.stamp_ns)
 
@@ -245,15 +250,14 @@ class Calibrator:
         return _Prepared(frames, stars, samples, cuts, gyro, ordinary)
 
     def _ordinary(self, prepared: _Prepared, k: int, track: AttitudeTrack, most: int
-                  ) -> tuple[list[FrameResult], int]:
+                  ) -> tuple[list[FrameResults], int]:
         """Process the frames from the k-th on that need no second look; return how many, too."""
         belief, tests, frames = self.belief, self.consistency, prepared.frames
         if (prepared.ordinary is None or belief is None or self._lock.lost
                 or self._lock.broken or self._trail_test.open or self._as_linear
                 or tests.scores is not None):
             return [], 0
-        found = prepared.ordinary.advance(
-            k, min(most, tests.until_due), self.filter, belief, tests)
+        found, looked = prepared.ordinary.advance(k, most, self.filter, belief, tests)
         n = len(found.nis)
         if not n:
             return [], 0
@@ -263,22 +267,28 @@ class Calibrator:
         stamps = frames.stamp_ns[k:k + n]
         results = prepared.ordinary.results(k, found, belief, track)
         self._reprojection.add(stamps, found.squares, found.used)
-        stamp_ns, after = results[-1].stamp_ns, results[-1].belief
+        stamp_ns, after = int(stamps[-1]), results.belief.of_run(-1)
         self.stamp_ns = stamp_ns
         self._lock.hold()
         used = int(found.used.sum())
         self._count(n, used, int(usable.sum()) - used)
+        tests.met(stamps, found)
+        if not looked:
+            self.belief = after
+            return [results], n
         try:
-            tests.met(stamps, found)
             answered = self._answered(after)
         except np.linalg.LinAlgError:
             answered = None
         if answered is None or not answered.is_finite:
-            self.belief = results[-2].belief if n > 1 else belief
+            self.belief = results.belief.of_run(-2) if n > 1 else belief
             self._leave_out(stamp_ns)
-            return results[:-1], n
+            return [results.take(slice(-1))], n
         self.belief = answered
-        return [*results[:-1], results[-1]._replace(belief=answered)], n
+        if answered is after:
+            return [results], n
+        last = replace(results.take(slice(-1, None)), belief=Belief.stacked([answered]))
+        return [results.take(slice(-1)), last], n
 
     def _single(self, prepared: _Prepared, k: int, track: AttitudeTrack) -> FrameResult | None:
         """Process one frame, whatever it is like."""
@@ -315,7 +325,9 @@ class Calibrator:
             self.consistency.meet(stamp_ns, belief.nominal, frame, update,
                                   frames.catalog_id[rows], frames.magnitude[rows])
             turn = self.consistency.turn
-            answered = self._answered(update.belief)
+            answered = update.belief
+            if self.consistency.due(stamp_ns):
+                answered = self._answered(answered)
         except np.linalg.LinAlgError:
             answered = None
         if answered is None or not answered.is_finite:
@@ -367,7 +379,7 @@ class Calibrator:
             self.belief, self.stamp_ns, self._queue.gyro.since(self.stamp_ns), until_ns)
 
     def _answered(self, belief: Belief) -> Belief:
-        """Return a belief that knows of what has changed, where that is seen after this frame."""
+        """Return a belief that knows of what has changed, where that is seen at this frame."""
         answer = self.consistency.answer(
             self.stamp_ns, self._scenario.estimator.answer_changes)
         if answer is None:
@@ -380,6 +392,7 @@ class Calibrator:
     def _account(self, update: Update, usable: Mask) -> None:
         used = int(update.accepted.sum())
         rejected = int(usable.sum()) - used
+        self.consistency.account(used, rejected, self._lock.lost)
         self._count(1, used, rejected)
         self._lock.account(used, rejected, self.stamp_ns)
         self._reprojection.add(
@@ -390,5 +403,4 @@ class Calibrator:
         self.counts.frames += frames
         self.counts.stars += used
         self.counts.rejected_stars += rejected
-        self.consistency.account(used, rejected, self._lock.lost)
         self._lock.lost = False

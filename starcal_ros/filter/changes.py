@@ -48,6 +48,13 @@ TOLD = 12.0
 _RIVAL = 0.5            # of the best gain, for another turn to be a rival after a loss
 _TURNS = range(3)       # of CHANGING, all but the camera
 
+START, CLEAN, AFRESH = range(3)
+"""Of a candidate: its stamp, whether nothing spoke against the model then, and whether the
+attitude was found afresh since."""
+COUNTED, BEGUN, AWAITED, SINCE = range(4)
+"""Number of frames and of candidates so far, whether something was found that a second look is to
+confirm, and the stamp of the first frame."""
+
 N_EFFECTS = len(CHANGING) * SLOTS
 
 _FIRST = len(HYPOTHESES)        # effect of the first candidate
@@ -118,43 +125,45 @@ class Changes:
 
     Attributes
     ----------
-    begun : int
-        Number of candidates so far.
-    awaited : bool
-        Whether something was found that a second look is to confirm.
+    slots : (SLOTS, 3) int64 array
+        START, CLEAN and AFRESH of each candidate that is kept.
+    counts : (4,) int64 array
+        COUNTED, BEGUN, AWAITED and SINCE.
     """
 
     def __init__(self) -> None:
-        self._starts: list[int] = []            # stamp of each slot's beginning
-        self._clean: list[bool] = []            # whether nothing spoke against the model then
-        self._afresh: list[bool] = []           # whether the attitude was found afresh since
-        self._frames = self.begun = 0
-        self.awaited = False
-        self._since_ns = 0
+        self.slots, self.counts = np.zeros((SLOTS, 3), np.int64), np.zeros(4, np.int64)
 
     def due(self, stamp_ns: int) -> bool:
-        """Count a frame, and say whether a candidate is to begin after it."""
-        self.pass_over(np.array([stamp_ns]))
-        return self._frames > 1 and self._frames % STRIDE == 1
+        """Count a frame, and say whether a candidate is to begin after it.
+
+        The first frame begins none, as it is none of a window of the tests: it tells nothing of
+        the time before it.
+        """
+        counts = self.counts
+        if counts[COUNTED] == 0:
+            counts[SINCE] = stamp_ns
+        counts[COUNTED] += 1
+        return bool(counts[COUNTED] > 1 and counts[COUNTED] % STRIDE == 1)
 
     @property
-    def until_due(self) -> int:
-        """Frames up to the one after which a candidate is to begin, that one included.
+    def begun(self) -> int:
+        """Number of candidates so far."""
+        return int(self.counts[BEGUN])
 
-        The first frame is not counted, as by the windows of the tests, which end with these: it
-        tells nothing of the time before it.
-        """
-        return STRIDE + 1 if self._frames == 0 else STRIDE - (self._frames - 1) % STRIDE
+    @property
+    def awaited(self) -> bool:
+        """Whether something was found that a second look is to confirm."""
+        return bool(self.counts[AWAITED])
 
-    def pass_over(self, stamp_ns: Ints) -> None:
-        """Count frames."""
-        if self._frames == 0 and len(stamp_ns):
-            self._since_ns = int(stamp_ns[0])
-        self._frames += len(stamp_ns)
+    @property
+    def _starts(self) -> Ints:
+        """Stamps of the candidates that are kept."""
+        return self.slots[:self.begun, START]
 
     def found(self) -> None:
         """Know that the attitude was found afresh."""
-        self._afresh = [True] * len(self._starts)
+        self.slots[:self.begun, AFRESH] = True
 
     def begin(self, stamp_ns: int, clean: bool, responses: Responses) -> None:
         """Let a candidate begin.
@@ -166,15 +175,9 @@ class Changes:
             Whether nothing speaks against the model so far.
         responses : Responses
         """
-        slot = len(self._starts)
-        if slot == SLOTS:
-            slot = self._dispensable(stamp_ns)
-            self._starts[slot], self._clean[slot], self._afresh[slot] = stamp_ns, clean, False
-        else:
-            self._starts.append(stamp_ns)
-            self._clean.append(clean)
-            self._afresh.append(False)
-        self.begun += 1
+        slot = self.begun if self.begun < SLOTS else self._dispensable(stamp_ns)
+        self.slots[slot] = stamp_ns, clean, False
+        self.counts[BEGUN] += 1
         n = responses.E.shape[-2]
         for k, step in enumerate(STEPS):
             E = np.zeros((n, step.shape[-1]))
@@ -184,13 +187,14 @@ class Changes:
     def _dispensable(self, now_ns: int) -> int:
         """Return the slot whose neighbours are nearest to each other, for their age."""
         order = np.argsort(self._starts)
-        starts = np.array(self._starts, np.float64)[order]
+        starts = self._starts.astype(np.float64)[order]
         between = (starts[2:] - starts[:-2]) / (now_ns - starts[1:-1])
         return int(order[1 + int(np.argmin(between))])
 
     def place(self, state: int, age_s: float) -> int:
         """Return the effect that is a step of a state, the candidate nearest to an age."""
-        ages = 1e-9 * (max(self._starts, default=0) - np.array(self._starts, np.float64))
+        starts = self._starts.astype(np.float64)
+        ages = 1e-9 * (starts.max(initial=0.0) - starts)
         slot = int(np.argmin(np.abs(ages - age_s))) if len(ages) else 0
         return _FIRST + slot * len(CHANGING) + state
 
@@ -203,12 +207,13 @@ class Changes:
         may look like a drift.
         """
         found = self._told(now_ns, fit, responses, noise_as_stated)
-        confirmed, self.awaited = self.awaited, found is not None
+        confirmed = self.awaited
+        self.counts[AWAITED] = found is not None
         return found if confirmed else None
 
     def _told(self, now_ns: int, fit: Fit, responses: Responses, noise_as_stated: bool
               ) -> Answer | None:
-        if not self._starts:
+        if not self.begun:
             return None
         gain, known = fit.gain[_FIRST:], len(self._starts) * len(CHANGING)
         gain = np.where(np.arange(len(gain)) < known, gain, 0.0)
@@ -217,7 +222,7 @@ class Changes:
         steady = np.delete(fit.gain[:_FIRST], np.arange(DRIFTS.start, DRIFTS.stop)).max()
         rival = max(steady, float(fit.gain[drift]))
         if gain[best] > _limit(int(fit.freedom[_FIRST + best]), self.begun) and (
-                gain[best] > rival + TOLD) and self._clean[best // len(CHANGING)]:
+                gain[best] > rival + TOLD) and self.slots[best // len(CHANGING), CLEAN]:
             return self._step(best, now_ns, gain, fit, responses)
         rival = max(steady, float(gain[best]))
         if noise_as_stated and fit.gain[drift] > _limit(int(fit.freedom[drift]), 1) and (
@@ -237,7 +242,7 @@ class Changes:
             columns.append(0.5 * (moved - other_date)[:, None])
         # Where a turn was so large that the attitude was lost, the responses, of first order,
         # fit the better the less they turn: the true one need not gain most.
-        share = _RIVAL if self._afresh[slot] else 1.0
+        share = _RIVAL if self.slots[slot, AFRESH] else 1.0
         what = [CHANGING[state]]
         for other in range(len(CHANGING)):
             rival = slot * len(CHANGING) + other
@@ -246,8 +251,8 @@ class Changes:
                 what.append(CHANGING[other])
                 columns += [responses.of(_FIRST + rival) @ fit.root[_FIRST + rival],
                             (moved - self._moved(rival, fit, responses))[:, None]]
-        since_ns = self._starts[slot]
-        within = [abs(since_ns - self._starts[other]) for other in beside]
+        since_ns = int(self._starts[slot])
+        within = [abs(since_ns - int(self._starts[other])) for other in beside]
         size, sigma = fit.p[_FIRST + best], fit.sigma[_FIRST + best]
         change = ModelChange(
             'step', tuple(what), since_ns, 1e-9 * max(within, default=0), now_ns,
@@ -263,11 +268,12 @@ class Changes:
     def _drift(self, drift: int, now_ns: int, fit: Fit, responses: Responses) -> Answer:
         state = drift - DRIFTS.start
         moved = responses.of(drift) @ fit.p[drift]
-        elapsed_s = 1e-9 * max(now_ns - self._since_ns, 1)
+        since_ns = int(self.counts[SINCE])
+        elapsed_s = 1e-9 * max(now_ns - since_ns, 1)
         # Over the time that it took, the walk covers what the drift did in it.
         rate = np.abs(STEPS[state][CALIBRATED] @ fit.p[drift]) / 3600.0
         change = ModelChange(
-            'drift', (CHANGING[state],), self._since_ns, 0.0, now_ns, HYPOTHESES[drift].numbers,
+            'drift', (CHANGING[state],), since_ns, 0.0, now_ns, HYPOTHESES[drift].numbers,
             tuple(fit.p[drift].tolist()), tuple(fit.sigma[drift].tolist()))
         return Answer(change, moved, np.concatenate(
             (responses.of(drift) @ fit.root[drift], moved[:, None]), axis=-1),

@@ -17,14 +17,13 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.statistic import ALARM, Statistic, chi2_beyond
+from starcal_ros.filter.allowances import HARM
 from starcal_ros.filter.changes import N_EFFECTS
 from starcal_ros.filter.hypotheses import CELL, CHANGING, HYPOTHESES, STEP_NUMBERS
 from starcal_ros.core.statistic import MARGIN
 from starcal_ros.filter.innovation_tests import cell_name
 from starcal_ros.filter.responses import Fit
 
-HARM = 0.5
-"""Shift of a state, in its sigmas, that is of no account."""
 STEADY = slice(CELL.start + 1)
 """Of the effects that are told: what is there all the time, of the cells the worst."""
 STEPS = slice(CELL.start + 1, None)

@@ -1,11 +1,14 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibrator gives of each frame, and what it counts."""
+"""What a calibrator gives of frames, one or many in columns, and what it counts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import NamedTuple
+
+import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter.attitude_track import AttitudeTrack
@@ -74,3 +77,77 @@ class FrameResult(NamedTuple):
     turn: Array
     linear: bool
     track: AttitudeTrack
+
+    @property
+    def alone(self) -> FrameResults:
+        """The same as that of several frames."""
+        return FrameResults(
+            np.array([self.stamp_ns]), Belief.stacked([self.belief]),
+            np.array([len(self.sigma)]), self.uv_raster, self.residual, self.chi2, self.accepted,
+            self.catalog_id, self.sigma, np.array([self.nis]), self.turn[None], self.linear,
+            self.track)
+
+
+@dataclass(frozen=True)
+class FrameResults:
+    """What some frames gave, in the order of their stamps; the names are those of `FrameResult`.
+
+    Attributes
+    ----------
+    stamp_ns : (m,) int64 array
+    belief : Belief
+        Of a batch, (m,): after each frame.
+    seen : (m,) int64 array
+        Number of stars of each frame.
+    uv_raster, residual, chi2, accepted, catalog_id, sigma : (k, ...) arrays
+        Of the k stars, end to end.
+    nis : (m,) array
+    turn : (m, 3) array
+    linear : bool
+        Of all of them.
+    track : AttitudeTrack
+        Before the first of them.
+    """
+
+    stamp_ns: Ints
+    belief: Belief
+    seen: Ints
+    uv_raster: Array
+    residual: Array
+    chi2: Array
+    accepted: Mask
+    catalog_id: Ints
+    sigma: Array
+    nis: Array
+    turn: Array
+    linear: bool
+    track: AttitudeTrack
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.stamp_ns)
+
+    def __iter__(self) -> Iterator[FrameResult]:
+        """Yield what each frame gave."""
+        end = 0
+        for k, (stamp_ns, seen, nis) in enumerate(zip(
+                self.stamp_ns.tolist(), self.seen.tolist(), self.nis.tolist())):
+            begin, end = end, end + seen
+            yield FrameResult(
+                stamp_ns, self.belief.of_run(k), self.uv_raster[begin:end],
+                self.residual[begin:end], self.chi2[begin:end], self.accepted[begin:end],
+                self.catalog_id[begin:end], self.sigma[begin:end], nis, self.turn[k],
+                self.linear, self.track if k == 0 else AttitudeTrack.empty())
+
+    def take(self, frames: slice) -> FrameResults:
+        """Return some of them."""
+        if frames.indices(len(self)) == (0, len(self), 1):
+            return self
+        chosen = np.zeros(len(self), bool)
+        chosen[frames] = True
+        stars = np.repeat(chosen, self.seen)
+        return replace(
+            self, stamp_ns=self.stamp_ns[frames], belief=self.belief.of_run(frames),
+            seen=self.seen[frames], nis=self.nis[frames], turn=self.turn[frames],
+            **{name: getattr(self, name)[stars] for name in (
+                'uv_raster', 'residual', 'chi2', 'accepted', 'catalog_id', 'sigma')})

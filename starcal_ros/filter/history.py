@@ -17,7 +17,7 @@ from starcal_ros.config.scenario import Scenario
 from starcal_ros.core import kalman, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.frame_result import FrameResult
+from starcal_ros.filter.frame_result import FrameResults
 from starcal_ros.filter.states import N_STATES
 from starcal_ros.filter.verdict import equivalent_sigma
 
@@ -131,25 +131,31 @@ class HistoryKeeper:
         self._sigma_px = scenario.star_tracker.centroid_sigma_px
         self._pitch_mm = scenario.camera.pixel_pitch_mm
         self._frames, self._every, self._kept = 0, 1, 0
-        self._rows: list[FrameResult] = []
+        self._rows: list[FrameResults] = []
         self._blocks: list[_Block] = []
-        self._last: FrameResult | None = None
+        self._last: FrameResults | None = None      # where it has no row
         self._C_gi: list[Array] = []                # of the last frames
         self._turned = np.zeros(3)
 
-    def add(self, frame: FrameResult) -> None:
-        """Take what a frame gave."""
-        self._C_gi.append(frame.belief.estimate.C_gi)
-        if len(self._C_gi) == _BLOCK:
-            self._add_turns()
-        if self._frames % self._every == 0:
-            self._rows.append(frame)
-            self._last = None
-        else:
-            self._last = frame
-        self._frames += 1
-        if self._frames % _BLOCK == 0:
-            self._end_block()
+    def add(self, results: FrameResults) -> None:
+        """Take what frames gave."""
+        end = 0
+        while end < len(results):
+            begin, end = end, end + _BLOCK - self._frames % _BLOCK
+            self._add(results.take(slice(begin, end)))
+            if self._frames % _BLOCK == 0:
+                self._add_turns()
+                self._end_block()
+
+    def _add(self, results: FrameResults) -> None:
+        """Take what frames of one block gave."""
+        self._C_gi.append(results.belief.estimate.C_gi)
+        rows = results.take(slice(-self._frames % self._every, None, self._every))
+        if len(rows):
+            self._rows.append(rows)
+        self._frames += len(results)
+        self._last = results.take(slice(-1, None)) if (
+            (self._frames - 1) % self._every) else None
 
     def history(self, noise_factor: float) -> History:
         """Return the history.
@@ -172,17 +178,17 @@ class HistoryKeeper:
         return History(*values)
 
     def _add_turns(self) -> None:
-        C_gi = np.array(self._C_gi).reshape(-1, 3, 3)
+        C_gi = np.concatenate([np.empty((0, 3, 3)), *self._C_gi])
         turns = np.abs(rotation.log(C_gi[1:] @ np.swapaxes(C_gi[:-1], -1, -2)))
         # One after the other, and so the same whatever the block.
         self._turned = np.add.accumulate(np.concatenate((self._turned[None], turns)))[-1]
-        self._C_gi = self._C_gi[-1:]
+        self._C_gi = [C_gi[-1:]]
 
     def _end_block(self) -> None:
         if not self._rows:
             return
         self._blocks.append(_block(self._rows, self._pitch_mm))
-        self._kept += len(self._rows)
+        self._kept += sum(map(len, self._rows))
         self._rows = []
         if self._kept >= MOST:
             self._blocks = [self._joined().thinned()]
@@ -194,26 +200,24 @@ class HistoryKeeper:
         return _Block(*(tuple(map(np.concatenate, zip(*parts))) for parts in zip(*blocks)))
 
 
-def _block(frames: list[FrameResult], pitch_mm: float) -> _Block:
-    if not frames:
+def _block(rows: list[FrameResults], pitch_mm: float) -> _Block:
+    if not rows:
         return _Block((
             np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 7)),
             np.empty((0, N_STATES)), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64),
             np.empty((0, 3)), np.empty(0, np.int64)),
             (np.empty((0, 2)), np.empty((0, 2)), np.empty(0, bool), np.empty(0),
              np.empty(0, np.int64)))
-    belief = Belief.stacked([frame.belief for frame in frames])
+
+    def joined(name: str) -> Any:
+        return np.concatenate([getattr(each, name) for each in rows])
+    belief = Belief.joined([each.belief for each in rows])
     estimate, root = belief.estimate, belief.state_root
-    seen = np.array([len(frame.sigma) for frame in frames])
-    accepted = np.concatenate([frame.accepted for frame in frames])
+    seen, accepted = joined('seen'), joined('accepted')
     used = np.diff(np.concatenate(([0], np.cumsum(accepted)))[np.cumsum([0, *seen])])
     return _Block((
-        np.array([frame.stamp_ns for frame in frames]), estimate.bias, estimate.C_sg,
-        estimate.intrinsics, kalman.sigma_of(root),
-        equivalent_sigma(root, estimate.intrinsics, pitch_mm),
-        np.array([frame.nis for frame in frames]), used,
-        np.array([frame.turn for frame in frames]), seen),
-        (np.concatenate([frame.uv_raster for frame in frames]),
-         np.concatenate([frame.residual for frame in frames]), accepted,
-         np.concatenate([frame.sigma for frame in frames]),
-         np.concatenate([frame.catalog_id for frame in frames])))
+        joined('stamp_ns'), estimate.bias, estimate.C_sg, estimate.intrinsics,
+        kalman.sigma_of(root), equivalent_sigma(root, estimate.intrinsics, pitch_mm),
+        joined('nis'), used, joined('turn'), seen),
+        (joined('uv_raster'), joined('residual'), accepted, joined('sigma'),
+         joined('catalog_id')))

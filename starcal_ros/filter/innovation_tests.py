@@ -42,25 +42,14 @@ import numpy as np
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.statistic import ALARM, MARGIN, Statistic, chi2_beyond, normal_beyond
 from starcal_ros.filter import arithmetic
+from starcal_ros.filter.allowances import (DISPLACED, LEAST_OF_BIN, LEAST_OF_STAR, LOSSES,
+                                           LOSSES_FRAMES, REJECTED, SCATTER, WINDOW)
 from starcal_ros.filter.frame_innovation import (ALONG, CELLS, FRAMES, FREEDOM, LAG, MAGNITUDES,
                                                  PAIRS, RATE, REST, SUMS, TURN, E, FrameInnovation)
 
-WINDOW = 120
-"""Frames of a window: a minute at 2 Hz."""
-SCATTER = 1.5
-"""The same factor where only the stars of one place or of one magnitude are looked at."""
-DISPLACED = 0.2
-"""Displacement of one star, in its sigmas, that is of no account."""
-REJECTED = 0.6
-"""Share of stars that the gate may reject: half may be wrong."""
-LOSSES, LOSSES_FRAMES = 3, 7200
-"""Losses of the attitude that may happen, and frames after which one more may: an hour at 2 Hz."""
 NOISE_TESTS = ('NIS of the turns', 'NIS of the rest', 'worst window of the turns',
                'worst window of the rest', 'correlation of turns from frame to frame')
 """What a noise that is not as stated fails, and need be nothing else."""
-
-_LEAST = 20             # frames of a star
-_LEAST_OF_BIN = 500     # stars of a place or a magnitude
 
 
 class InnovationTests:
@@ -75,14 +64,14 @@ class InnovationTests:
     def __init__(self, gated: float) -> None:
         self._gated = gated
         self._run, self._window = np.zeros(SUMS), np.zeros(SUMS)
-        self._worst = {'turn': 0.0, 'rest': 0.0}        # of all windows, in sigmas
-        self._windows = 0
+        # Of all windows the worst, in sigmas, turn and rest; and their number.
+        self._worst = np.zeros(3)
         self._last = np.zeros(3)                            # e of the frame before,
         self._follows = np.zeros(1, np.bool_)               # where there was one
         self._stars = _Stars()
         self._bins = {'cell': _Bins.empty(CELLS * CELLS),
                       'magnitude': _Bins.empty(len(MAGNITUDES) + 1)}
-        self._used = self._rejected = self._losses = 0
+        self._seen = np.zeros(3, np.int64)      # stars used and rejected, losses of the attitude
 
     @property
     def frames(self) -> int:
@@ -103,25 +92,27 @@ class InnovationTests:
         return self._stars.rows(catalog_id)
 
     def sums(self) -> tuple[Any, ...]:
-        """Return what `tally` adds to, for frames that are added in one go.
+        """Return what `tally` adds to, for frames that are added in one go, and what it asks.
 
         The sums of the run and of the window, e of the frame before and whether there was one,
-        frames and sums of each star, number and squares of each cell and each magnitude.
+        frames and sums of each star, number and squares of each cell and each magnitude; the worst
+        windows, and the stars used and rejected, which are counted there, too.
         """
         return (self._run, self._window, self._last, self._follows, self._stars.frames,
-                self._stars.sums, *self._bins['cell'], *self._bins['magnitude'])
+                self._stars.sums, *self._bins['cell'], *self._bins['magnitude'], self._worst,
+                self._seen)
 
     def end_window(self) -> bool:
         """End the window where it is full; return whether it was."""
         if self._window[FRAMES] < WINDOW:
             return False
-        self._windows += 1
+        self._worst[-1] += 1.0
         deviations = _beyond(
             self._window[[TURN, REST]] / (1.0, self._gated),
             np.array([3.0 * self._window[FRAMES], self._window[FREEDOM]]))
-        for name, deviation in zip(('turn', 'rest'), deviations.tolist()):
-            if abs(deviation) > abs(self._worst[name]):
-                self._worst[name] = deviation
+        for kind, deviation in enumerate(deviations.tolist()):
+            if abs(deviation) > abs(self._worst[kind]):
+                self._worst[kind] = deviation
         self._window[:] = 0.0
         return True
 
@@ -131,9 +122,7 @@ class InnovationTests:
 
     def account(self, used: int, rejected: int, lost: bool) -> None:
         """Count the stars of a frame, and whether the attitude was lost before it."""
-        self._used += used
-        self._rejected += rejected
-        self._losses += lost
+        self._seen += used, rejected, lost
 
     def statistics(self) -> tuple[Statistic, ...]:
         """Return all tests, of one frame at least."""
@@ -148,24 +137,26 @@ class InnovationTests:
             ('correlation of turns from frame to frame', lag / np.sqrt(3.0 * pairs or 1.0),
              -far, far, n),
             ('turns along the rate', along / np.sqrt(rate or 1.0), -far, far, n)]
-        if self._windows:
-            far = normal_beyond(ALARM / 2.0 / self._windows)
-            found += [(f'worst window of the {what}', self._worst[name], -far, far, self._windows)
-                      for name, what in (('turn', 'turns'), ('rest', 'rest'))]
+        windows = int(self._worst[-1])
+        if windows:
+            far = normal_beyond(ALARM / 2.0 / windows)
+            found += [(f'worst window of the {what}', worst, -far, far, windows)
+                      for what, worst in zip(('turns', 'rest'), self._worst.tolist())]
         worst, count = self._stars.worst()
         if count:
             far = normal_beyond(ALARM / 4.0 / count)
             found.append(('displacement of the worst star', worst, -far, far, count))
-        found += [('share of rejected stars', self._rejected / max(self._used + self._rejected, 1),
-                   0.0, REJECTED, self._used + self._rejected),
-                  ('losses of the attitude', self._losses, 0.0, LOSSES + n / LOSSES_FRAMES, n)]
+        used, rejected, losses = self._seen.tolist()
+        found += [('share of rejected stars', rejected / max(used + rejected, 1), 0.0, REJECTED,
+                   used + rejected),
+                  ('losses of the attitude', losses, 0.0, LOSSES + n / LOSSES_FRAMES, n)]
         return (*(Statistic(name, float(value), float(low), float(high), samples)
                   for name, value, low, high, samples in found), *self._scatter())
 
     def _scatter(self) -> Iterator[Statistic]:
         """Yield the bins whose squares are furthest from those of all."""
         for name, bins in self._bins.items():
-            which = np.flatnonzero(bins.number >= _LEAST_OF_BIN)
+            which = np.flatnonzero(bins.number >= LEAST_OF_BIN)
             if len(which):
                 freedom = np.asarray(2.0 * bins.number[which], np.float64)
                 ratio = bins.squares[which] / (freedom * self._gated)
@@ -215,7 +206,7 @@ class _Stars:
 
     def worst(self) -> tuple[float, int]:
         """Return the sum that is furthest off, as a normal deviate, and of how many stars."""
-        often = np.flatnonzero(self.frames >= _LEAST)
+        often = np.flatnonzero(self.frames >= LEAST_OF_STAR)
         if not len(often):
             return 0.0, 0
         root = np.sqrt(self.frames[often])[:, None]

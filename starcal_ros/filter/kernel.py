@@ -22,7 +22,8 @@ from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.compiled import ready
 from starcal_ros.core.compiled_parts import (diagonalized, dot, factored, jit as _jit, multiplied,
                                              projected, solved, triangularized)
-from starcal_ros.filter import stretch
+from starcal_ros.filter import compiled_tests, stretch
+from starcal_ros.filter.changes import AWAITED, BEGUN
 from starcal_ros.filter.curvature import BETWEEN, MATTERS, REPEATS
 from starcal_ros.filter.frame_innovation import (ALONG, BLIND, CELLS, FRAMES, FREEDOM, LAG,
                                                  MAGNITUDES, PAIRS, RATE, REST, SPREAD, SUMS, TURN,
@@ -37,6 +38,9 @@ from starcal_ros.filter.states import LENS, SCALE
 COMPILED = True
 
 _typeof: Any = numba.typeof
+_as_expected, _harmless = compiled_tests.as_expected, compiled_tests.harmless
+_stands_out, _due, _begin = (compiled_tests.stands_out, compiled_tests.due,
+                             compiled_tests.begin)
 
 _TURN, _PSI, _LENS, _N = SCALE[0], 6, LENS.start, LENS.stop
 _SCALE_U, _SCALE_V = SCALE[LENS.start], SCALE[LENS.start + 1]
@@ -882,11 +886,11 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
     C_gi, bias, C_sg, intrinsics, root = belief
     (density, scale, lens_shift, second, largest, half, hourly, walk, gap_acceleration, trail_s,
      pitch_mm, cos_field, gate, guarded, largest_correction, sigma_acquired, wide, most_torn,
-     torn_nis, least_stars, window_frames) = constants
+     torn_nis, least_stars, window_frames, gated, sizes) = constants
     Delta, J, durations, gap_turn, reading, share, reference = intervals
-    begin, all_u_i, all_uv, all_sigma, all_magnitude, row = stars
+    stamp_ns, begin, all_u_i, all_uv, all_sigma, all_magnitude, row = stars
     (E, s, information, run, window, last_e, follows, star_frames, star_sums, cell_count,
-     cell_squares, magnitude_count, magnitude_squares) = sums
+     cell_squares, magnitude_count, magnitude_squares, worst, seen, slots, counts) = sums
     (C_gi_out, bias_out, C_sg_out, intrinsics_out, root_out, nis_out, used_out, log_det_out,
      squares_out, turn_out, chi2_out, accepted_out, residual_out) = out
     n = root.shape[1]
@@ -902,20 +906,24 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
     noise = np.empty((1, 2))
     judged, e, L_N, log_det = (np.empty(1, np.bool_), np.empty((1, 3)), np.empty((1, 3, 3)),
                                np.empty(1))
+    effects = len(sizes)
+    p, p_sigma, gain, freedom, p_root = (
+        np.empty((effects, WIDTH)), np.empty((effects, WIDTH)), np.empty(effects),
+        np.empty(effects, np.int64), np.empty((effects, WIDTH, WIDTH)))
     for k in range(most):
         first, last = begin[k], begin[k + 1]
         count, usable = last - first, 0
         for star in range(first, last):
             usable += np.isfinite(all_sigma[star])
         if not usable:
-            return k
+            return k, False
         # The interval
         duration, square = durations[k], 0.0
         for i in range(3):
             rate[0, i] = bias[0, i] - reference[i]
             square += rate[0, i] * rate[0, i]
         if np.sqrt(square) * duration > largest_correction:
-            return k
+            return k, False
         for i in range(3):
             drift[0, i] = (J[k, i, 0] * rate[0, 0] + J[k, i, 1] * rate[0, 1]
                            + J[k, i, 2] * rate[0, 2])
@@ -928,7 +936,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
             for j in range(n):
                 square += root_1[0, i, j] * root_1[0, i, j]
             if not _TURN * np.sqrt(square) <= sigma_acquired:
-                return k
+                return k, False
         # The frame
         _product(C_sg[0], C_gi_1[0], C_si[0])
         for i in range(3):
@@ -941,7 +949,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
         deviation = all_sigma[first:last].reshape(1, count)
         if guarded and _bends(C_si, u_i, deviation, error, root_1, intrinsics, lens_shift, second,
                               largest, pitch_mm, cos_field):
-            return k
+            return k, False
         chi2 = chi2_out[first:last].reshape(1, count)
         accepted = accepted_out[first:last].reshape(1, count)
         residual = residual_out[first:last].reshape(1, count, 2)
@@ -953,7 +961,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
                 cos_field, gate, True,
                 error_2, root_2, C_gi_2, bias_2, C_sg_2, intrinsics_2, freed, chi2, accepted,
                 residual, nis, spread, z, H, M, L):
-            return k
+            return k, False
         used = 0
         for star in range(count):
             used += accepted[0, star]
@@ -961,7 +969,7 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
                 and nis[0] > torn_nis * 2 * used)
         total = root_2.sum() + C_gi_2.sum() + C_sg_2.sum() + bias_2.sum() + intrinsics_2.sum()
         if not spread[0] <= wide or torn or usable - used > used or not np.isfinite(total):
-            return k
+            return k, False
         # The tests of the model
         _carry(E, Phi, C_gi, C_gi_1, C_sg, Delta[k:k + 1], J[k:k + 1], durations[k:k + 1], hourly)
         normal, cell = np.empty((1, count, 2)), np.empty((1, count), np.int64)
@@ -988,15 +996,26 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
             if accepted[0, star]:
                 for i in range(2):
                     squares_out[k, i] += residual[0, star, i] * residual[0, star, i]
-        if window[FRAMES] >= window_frames:
-            return k + 1
-    return most
+        seen[0] += used
+        seen[1] += usable - used
+        looked, full = _due(stamp_ns[k], counts), window[FRAMES] >= window_frames
+        if looked and not (full or counts[AWAITED]):
+            _fit(s[0], information[0], sizes, p, p_sigma, gain, freedom, p_root)
+            if not _stands_out(gain, freedom, slots, counts):
+                clean = _as_expected(run, worst, seen, gated, star_frames, star_sums, cell_count,
+                                     cell_squares, magnitude_count, magnitude_squares)
+                clean = clean and _harmless(E[0], root[0], p, gain, freedom, counts[BEGUN])
+                _begin(stamp_ns[k], clean, slots, counts, E[0], s[0], information[0])
+                looked = False
+        if looked or full:
+            return k + 1, looked
+    return most, False
 
 
 def advance(belief: stretch.Values, constants: stretch.Constants, intervals: stretch.Intervals,
             stars: stretch.StretchStars, sums: stretch.TestSums, out: stretch.Gained, most: int
-            ) -> int:
-    """Process ordinary frames up to the first that is none, or the end of a window.
+            ) -> tuple[int, bool]:
+    """Process ordinary frames: up to one that is none, is to be looked at, or ends a window.
 
     Parameters
     ----------
@@ -1007,7 +1026,11 @@ def advance(belief: stretch.Values, constants: stretch.Constants, intervals: str
 
     Returns
     -------
-    int
+    done : int
         Number of frames that were processed.
+    looked : bool
+        Whether the last of them is one to look at (`ModelTests.answer`). Where nothing stands out
+        a candidate begins in passing.
     """
-    return int(_advance(*map(tuple, (belief, constants, intervals, stars, sums, out)), most))
+    done, looked = _advance(*map(tuple, (belief, constants, intervals, stars, sums, out)), most)
+    return int(done), bool(looked)

@@ -7,15 +7,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from starcal_ros.filter.calibrator import Calibrator
-from starcal_ros.filter.frame_result import FrameResult
+from starcal_ros.filter.frame_result import FrameResults
 from starcal_ros.measurements.message_source import MessageSource
 
 _TOLD = 100             # frames between two words of progress
 
 
 def run(calibrator: Calibrator, source: MessageSource,
-        on_progress: Callable[[float], None] = lambda part: None) -> Iterator[FrameResult]:
-    """Give the messages of a run to a calibrator, and what it makes of each frame.
+        on_progress: Callable[[float], None] = lambda part: None) -> Iterator[FrameResults]:
+    """Give the messages of a run to a calibrator, and what it makes of the frames.
 
     Parameters
     ----------
@@ -31,9 +31,11 @@ def run(calibrator: Calibrator, source: MessageSource,
         calibrator.add_gyro(batch.gyro)
         calibrator.add_frames(batch.frames)
         n, share = max(calibrator.waiting, 1), batch.done - before
-        for row, frame in enumerate(calibrator.process()):
-            yield frame
-            if row % _TOLD == _TOLD - 1:
-                on_progress(before + share * min((row + 1) / n, 1.0))
+        done = 0
+        for results in calibrator.stretches():
+            yield results
+            told, done = done // _TOLD, done + len(results)
+            if done // _TOLD > told:
+                on_progress(before + share * min(done // _TOLD * _TOLD / n, 1.0))
         before = batch.done
         on_progress(before)

@@ -22,13 +22,14 @@ import numpy as np
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.statistic import ALARM, Statistic, gated_nis, normal_beyond
 from starcal_ros.filter import arithmetic, hypotheses
+from starcal_ros.filter.allowances import SCATTER, WINDOW
 from starcal_ros.filter.belief import Nominal
 from starcal_ros.filter.changes import N_EFFECTS, Answer, Changes, ModelChange
 from starcal_ros.filter.effect_tests import STEADY, STEPS, Effect, Weighed, told, weighed
 from starcal_ros.filter.error_state import Filter, Update
 from starcal_ros.filter.frame_innovation import FrameInnovation
 from starcal_ros.filter.hypotheses import CHANGING, LARGEST_STEPS
-from starcal_ros.filter.innovation_tests import NOISE_TESTS, SCATTER, WINDOW, InnovationTests
+from starcal_ros.filter.innovation_tests import NOISE_TESTS, InnovationTests
 from starcal_ros.filter.likelihood import Likelihood
 from starcal_ros.filter.noise_levels import Scores
 from starcal_ros.filter.reference import TurnFound
@@ -76,13 +77,15 @@ class ModelTests:
         Steps and drifts that were answered.
     turn : (3,) array
         e of the last frame of the first run, Eq. (C.1); NaN where it was passed over.
+    gated : float
+        Of `InnovationTests`.
     """
 
     def __init__(self, filter_: Filter, gate_probability: float, batch: tuple[int, ...] = (),
                  scores: Scores | None = None) -> None:
         self._half = 0.5 * np.array([filter_.detector.width, filter_.detector.height])
         self._n, self._batch, self._runs = len(filter_.scale), batch, arithmetic.LeadingAxes(batch)
-        self._gated = gated_nis(gate_probability)
+        self.gated = gated_nis(gate_probability)
         self.history: list[tuple[int, tuple[Statistic, ...]]] = []
         self.changes: list[ModelChange] = []
         self.likelihood = Likelihood(filter_.detector)
@@ -98,7 +101,7 @@ class ModelTests:
 
     def begin(self) -> None:
         """Begin the tests, as at the first frame and after what was answered."""
-        self._tests = {run: InnovationTests(self._gated) for run in np.ndindex(*self._batch)}
+        self._tests = {run: InnovationTests(self.gated) for run in np.ndindex(*self._batch)}
         self._responses = Responses(self._batch, self._n, np.concatenate((
             hypotheses.largest(), np.tile(LARGEST_STEPS, (N_EFFECTS // len(CHANGING), 1)))))
         self._changes = Changes()
@@ -208,26 +211,26 @@ class ModelTests:
         self._beside = np.max(np.abs(belief.estimate.augmented) / self._prior, axis=-1)
         return np.swapaxes(self._responses.E, -1, -2) @ update.drawn[..., None]
 
-    @property
-    def until_due(self) -> int:
-        """Frames up to the one that `answer` looks at, that one included."""
-        return self._changes.until_due
-
     def rows(self, catalog_id: Ints) -> Ints:
         """Return where stars stand in `sums`, of one run."""
         return self._tests[()].rows(catalog_id)
 
+    @property
+    def sizes(self) -> Array:
+        """Largest sizes of the effects that are thought of, (g, 3)."""
+        return self._responses.largest
+
     def sums(self) -> TestSums:
         """Return what frames add to that are processed in one go, of one run."""
-        responses = self._responses
-        return TestSums(responses.E[None], responses.s[None], responses.information[None],
-                        *self._tests[()].sums())
+        responses, changes = self._responses, self._changes
+        return TestSums._make((
+            responses.E[None], responses.s[None], responses.information[None],
+            *self._tests[()].sums(), changes.slots, changes.counts))
 
     def met(self, stamp_ns: Ints, found: Gained) -> None:
-        """Know of frames that were added to `sums`; to be followed by `answer` of the last."""
+        """Know of frames that were added to `sums`."""
         self._root, self.turn = found.root[-1], found.turn[-1]
         self.likelihood.add(stamp_ns, found.used, found.log_det, found.nis)
-        self._changes.pass_over(stamp_ns[:-1])
         if self._tests[()].end_window():
             self._keep(int(stamp_ns[-1]))
 
@@ -253,17 +256,19 @@ class ModelTests:
 
         To be called after each frame of a batch.
         """
-        if self._changes.due(stamp_ns):
+        if self.due(stamp_ns):
             self._changes.begin(stamp_ns, False, self._responses)
+
+    def due(self, stamp_ns: int) -> bool:
+        """Count a frame, and tell whether `answer` is to look at it."""
+        return self._changes.due(stamp_ns)
 
     def answer(self, stamp_ns: int, wanted: bool = True) -> Answer | None:
         """Return what has changed and what follows for the filter, of one run; mostly None.
 
-        To be called after each frame; with an answer all tests begin again. Where it is not
-        wanted, None: what has changed fails its test.
+        With an answer all tests begin again. Where it is not wanted, None: what has changed fails
+        its test.
         """
-        if not self._changes.due(stamp_ns):
-            return None
         found, fit = None, self._fit()
         seldom = not self.changes or stamp_ns > self.changes[-1].found_ns + SELDOM_NS
         if wanted and seldom:

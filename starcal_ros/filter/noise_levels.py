@@ -49,7 +49,7 @@ from starcal_ros.core.distributions import normal_cdf, normal_pdf
 from starcal_ros.core.kalman import Evidence
 from starcal_ros.core.units import DEG_PER_SQRT_HOUR, SQRT_HOUR
 from starcal_ros.filter import process_noise
-from starcal_ros.filter.innovation_tests import WINDOW
+from starcal_ros.filter.allowances import WINDOW
 from starcal_ros.filter.states import CALIBRATED, EPSILON, SCALE, THETA, UNIT
 from starcal_ros.measurements.preintegration import Preintegrated
 

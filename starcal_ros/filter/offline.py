@@ -73,7 +73,7 @@ def calibrate_source(source: MessageSource, scenario: Scenario,
             source, scenario, covariance, lambda part: told(sought * part)))
     calibrator = Calibrator(scenario, covariance, noise)
     keeper = HistoryKeeper(scenario)
-    for frame in message_pass.run(calibrator, source,
-                                  lambda part: told(sought + (1.0 - sought) * part)):
-        keeper.add(frame)
+    for results in message_pass.run(calibrator, source,
+                                    lambda part: told(sought + (1.0 - sought) * part)):
+        keeper.add(results)
     return calibrator, keeper.history(calibrator.noise.factor)

@@ -19,8 +19,8 @@ from starcal_ros.filter.acquisition import MIN_STARS, MOST_TORN, TORN, WIDE
 from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import LARGEST_CORRECTION, SIGMA_ACQUIRED, Filter
-from starcal_ros.filter.frame_result import FrameResult
-from starcal_ros.filter.innovation_tests import WINDOW
+from starcal_ros.filter.frame_result import FrameResults
+from starcal_ros.filter.allowances import WINDOW
 from starcal_ros.filter.model_tests import ModelTests
 from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, Values
 from starcal_ros.measurements.preintegration import Preintegrated
@@ -52,10 +52,10 @@ class OrdinaryFrames:
         self._frames, self._first = frames, frames.first
         self._stars = Stars(*map(ready, stars))
         self._magnitude = ready(frames.magnitude)
-        self._filter: Filter | None = None
+        self._made_of: tuple[Filter, ModelTests] | None = None
 
     def advance(self, k: int, most: int, filter_: Filter, belief: Belief, tests: ModelTests
-                ) -> Gained:
+                ) -> tuple[Gained, bool]:
         """Process frames from the k-th on.
 
         Parameters
@@ -72,30 +72,35 @@ class OrdinaryFrames:
 
         Returns
         -------
-        Gained
+        found : Gained
             Of as many frames as were ordinary.
+        looked : bool
+            Whether `ModelTests.answer` is to look at the last of them.
         """
-        if filter_ is not self._filter:
-            self._filter, self._constants = filter_, _constants(filter_)
+        if self._made_of is None or filter_ is not self._made_of[0] or (
+                tests is not self._made_of[1]):
+            self._made_of, self._constants = (filter_, tests), _constants(filter_, tests)
         now, stars = belief.nominal, self._stars
-        until = min(k + most, len(self._frames))
+        # No more than to the end of a window, of which the first frame may tell nothing.
+        until = min(k + most, k + WINDOW + 1, len(self._frames))
         first = self._first[k:until + 1]
         low, high = int(first[0]), int(first[-1])
         rows = tests.rows(self._frames.catalog_id[low:high])
         out = Gained.room(until - k, high - low)
-        done = arithmetic.advance(
+        done, looked = arithmetic.advance(
             Values(*(part[None].copy() for part in (
                 now.C_gi, now.bias, now.C_sg, now.intrinsics, belief.root))),
             self._constants,
             self._intervals.part(k, until),
-            StretchStars(first - low, stars.u_i[low:high], stars.uv[low:high],
-                         stars.sigma[low:high], self._magnitude[low:high], rows),
+            StretchStars(ready(self._frames.stamp_ns[k:until]), first - low, stars.u_i[low:high],
+                         stars.uv[low:high], stars.sigma[low:high], self._magnitude[low:high],
+                         rows),
             tests.sums(), out, until - k)
-        return out.of(done, int(first[done]) - low)
+        return out.of(done, int(first[done]) - low), looked
 
     def results(self, k: int, found: Gained, belief: Belief, track: AttitudeTrack
-                ) -> list[FrameResult]:
-        """Return what the frames from the k-th on gave, one by one.
+                ) -> FrameResults:
+        """Return what the frames from the k-th on gave.
 
         Parameters
         ----------
@@ -109,22 +114,17 @@ class OrdinaryFrames:
         """
         frames, n = self._frames, len(found.nis)
         rows = slice(self._first[k], self._first[k + n])
-        uv_raster, catalog_id = frames.uv_raster[rows], frames.catalog_id[rows]
-        sigma = frames.sigma[rows]
-        bounds, results = (self._first[k:k + n + 1] - rows.start).tolist(), []
-        for stamp_ns, begin, end, nis, turn, root, *values in zip(
-                frames.stamp_ns[k:k + n].tolist(), bounds, bounds[1:], found.nis.tolist(),
-                found.turn, found.root, found.C_gi, found.bias, found.C_sg, found.intrinsics,
-                self._intervals.reading[k:]):
-            after = Belief(belief.nominal.moved(*values), belief.error, root)
-            results.append(FrameResult(
-                stamp_ns, after, uv_raster[begin:end], found.residual[begin:end],
-                found.chi2[begin:end], found.accepted[begin:end], catalog_id[begin:end],
-                sigma[begin:end], nis, turn, True, track))
-        return results
+        after = Belief(
+            belief.nominal.moved(found.C_gi, found.bias, found.C_sg, found.intrinsics,
+                                 self._intervals.reading[k:k + n]),
+            np.broadcast_to(belief.error, (n, len(belief.error))), found.root)
+        return FrameResults(
+            frames.stamp_ns[k:k + n], after, np.diff(self._first[k:k + n + 1]),
+            frames.uv_raster[rows], found.residual, found.chi2, found.accepted,
+            frames.catalog_id[rows], frames.sigma[rows], found.nis, found.turn, True, track)
 
 
-def _constants(filter_: Filter) -> Constants:
+def _constants(filter_: Filter, tests: ModelTests) -> Constants:
     detector, curvature = filter_.detector, filter_.model.curvature
     return Constants(
         ready(filter_.density), ready(filter_.scale), ready(curvature.shift),
@@ -133,4 +133,4 @@ def _constants(filter_: Filter) -> Constants:
         hypotheses.hourly().copy(), float(filter_.walk), float(filter_.gap_acceleration),
         float(filter_.model.trail_s), float(detector.pitch_mm), float(filter_.model.cos_field),
         float(filter_.gate), not filter_.taken_as_linear, LARGEST_CORRECTION, SIGMA_ACQUIRED,
-        WIDE, MOST_TORN, TORN, MIN_STARS, float(WINDOW))
+        WIDE, MOST_TORN, TORN, MIN_STARS, float(WINDOW), tests.gated, ready(tests.sizes))

@@ -384,9 +384,9 @@ def judge(z: Array, H: Array, M: Array, L: Array, root: Array, E: Array, s: Arra
 
 
 def advance(belief: Values, constants: Constants, intervals: Intervals, stars: StretchStars,
-            sums: TestSums, out: Gained, most: int) -> int:
+            sums: TestSums, out: Gained, most: int) -> tuple[int, bool]:
     """Process no frame: one after the other is what the calibrator does with the rest of this."""
-    return 0
+    return 0, False
 
 
 def times(A: Array, x: Array) -> Array:

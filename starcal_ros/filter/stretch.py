@@ -54,6 +54,10 @@ class Constants(NamedTuple):
     least_stars : int
     window : float
         Frames of a window of the tests.
+    gated : float
+        Of `InnovationTests`.
+    sizes : (g, 3) array
+        `largest` of `Responses`.
     """
 
     density: Array
@@ -77,6 +81,8 @@ class Constants(NamedTuple):
     torn: float
     least_stars: int
     window: float
+    gated: float
+    sizes: Array
 
 
 class Intervals(NamedTuple):
@@ -102,6 +108,8 @@ class StretchStars(NamedTuple):
 
     Attributes
     ----------
+    stamp_ns : (m,) int64 array
+        Of the frames.
     first : (m + 1,) int64 array
         Where those of each frame begin, and the last end.
     u_i, uv, sigma : (k, 3), (k, 2) and (k,) arrays
@@ -112,6 +120,7 @@ class StretchStars(NamedTuple):
         Where the tests keep each.
     """
 
+    stamp_ns: Ints
     first: Ints
     u_i: Array
     uv: Array
@@ -121,7 +130,10 @@ class StretchStars(NamedTuple):
 
 
 class TestSums(NamedTuple):
-    """What the tests of the model hold: of `Responses` (one run in front) and of `tally`."""
+    """What the tests of the model hold.
+
+    Of `Responses` (one run in front), of `InnovationTests.sums` and of `Changes`.
+    """
 
     E: Array
     s: Array
@@ -136,6 +148,10 @@ class TestSums(NamedTuple):
     cell_squares: Array
     magnitude_count: Ints
     magnitude_squares: Array
+    worst: Array
+    seen: Ints
+    slots: Ints
+    counts: Ints
 
 
 class Gained(NamedTuple):
@@ -182,10 +198,11 @@ def example() -> tuple[Values, Constants, Intervals, StretchStars, TestSums, Gai
     return (
         Values(a((1, 3, 3)), a((1, 3)), a((1, 3, 3)), a((1, 7)), a((1, N_STATES, N_STATES))),
         Constants(a(13), a(N_STATES), a(7), a((1, 10, 10)), a((10, 10)), a(2), a((1, 1, 1)),
-                  *(1.0,) * 6, True, *(1.0,) * 5, 1, 1.0),
+                  *(1.0,) * 6, True, *(1.0,) * 5, 1, 1.0, 1.0, a((1, WIDTH))),
         Intervals(a((1, 3, 3)), a((1, 3, 3)), a(1), a(1), a((1, 3)), a(1), a(3)),
-        StretchStars(ints, a((1, 3)), a((1, 2)), a(1), a(1), ints),
+        StretchStars(ints, ints, a((1, 3)), a((1, 2)), a(1), a(1), ints),
         TestSums(a((1, N_STATES, WIDTH)), a((1, 1, WIDTH)), a((1, 1, WIDTH, WIDTH)), a(SUMS),
                  a(SUMS), a(3), a(1, np.bool_), a(1), a((1, 2)), a(CELLS * CELLS, np.int64),
-                 a(CELLS * CELLS), a(len(MAGNITUDES) + 1, np.int64), a(len(MAGNITUDES) + 1)),
+                 a(CELLS * CELLS), a(len(MAGNITUDES) + 1, np.int64), a(len(MAGNITUDES) + 1), a(3),
+                 ints, np.ones((1, 3), np.int64), ints),
         Gained.room(1, 1))

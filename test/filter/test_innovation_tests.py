@@ -10,9 +10,10 @@ from scipy.stats import chi2, norm
 
 from instruments import TAN2018, calibrated, failed
 from starcal_ros.core import kalman, rotation
+from starcal_ros.filter.allowances import WINDOW
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.frame_innovation import CELLS, FrameInnovation
-from starcal_ros.filter.innovation_tests import WINDOW, InnovationTests, _deviate
+from starcal_ros.filter.innovation_tests import InnovationTests, _deviate
 from starcal_ros.measurements.samples import Frames
 from starcal_ros.simulation import sensors
 
