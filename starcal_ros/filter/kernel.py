@@ -879,7 +879,7 @@ def tally(frame: FrameInnovation, run: Array, window: Array, last: Array, follow
 # Ordinary frames, one after the other
 
 # Plain tuples: a class in its place would stand in the cache on disk by its name.
-@_jit((*(_typeof(tuple(part)) for part in stretch.example()), numba.int64))
+@_jit((*(_typeof(tuple(part)) for part in stretch.example()), numba.int64), nogil=True)
 def _advance(belief, constants, intervals, stars, sums, out, most):
     # All that a frame needs, in the order of `calibrator`; nothing is written before it is known
     # that the frame is an ordinary one.

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from starcal_ros.core.ahead import ahead
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.frame_result import FrameResults
 from starcal_ros.measurements.message_source import MessageSource
@@ -27,7 +28,7 @@ def run(calibrator: Calibrator, source: MessageSource,
         Called now and then with the part done, 0 to 1.
     """
     before = 0.0
-    for batch in source.batches():
+    for batch in ahead(source.batches()):
         calibrator.add_gyro(batch.gyro)
         calibrator.add_frames(batch.frames)
         n, share = max(calibrator.waiting, 1), batch.done - before
