@@ -228,8 +228,8 @@ class Calibrator:
         while k < len(frames):
             track = self._track(int(frames.stamp_ns[k])) if tracked else AttitudeTrack.empty()
             results, done = self._ordinary(prepared, k, track, 1 if tracked else len(frames))
-            if done:
-                yield from results
+            if results is not None:
+                yield results
                 k += done
                 continue
             result = self._single(prepared, k, track)
@@ -250,45 +250,38 @@ class Calibrator:
         return _Prepared(frames, stars, samples, cuts, gyro, ordinary)
 
     def _ordinary(self, prepared: _Prepared, k: int, track: AttitudeTrack, most: int
-                  ) -> tuple[list[FrameResults], int]:
+                  ) -> tuple[FrameResults | None, int]:
         """Process the frames from the k-th on that need no second look; return how many, too."""
         belief, tests, frames = self.belief, self.consistency, prepared.frames
         if (prepared.ordinary is None or belief is None or self._lock.lost
                 or self._lock.broken or self._trail_test.open or self._as_linear
                 or tests.scores is not None):
-            return [], 0
-        found, looked = prepared.ordinary.advance(k, most, self.filter, belief, tests)
+            return None, 0
+        found, look = prepared.ordinary.advance(k, most, self.filter, belief, tests)
         n = len(found.nis)
         if not n:
-            return [], 0
+            return None, 0
         rows = slice(frames.first[k], frames.first[k + n])
         usable = np.isfinite(prepared.stars.sigma[rows])
         found.residual[~usable] = found.chi2[~usable] = np.nan
         stamps = frames.stamp_ns[k:k + n]
         results = prepared.ordinary.results(k, found, belief, track)
         self._reprojection.add(stamps, found.squares, found.used)
-        stamp_ns, after = int(stamps[-1]), results.belief.of_run(-1)
-        self.stamp_ns = stamp_ns
+        self.stamp_ns, after = int(stamps[-1]), results.belief.of_run(-1)
         self._lock.hold()
         used = int(found.used.sum())
         self._count(n, used, int(usable.sum()) - used)
-        tests.met(stamps, found)
-        if not looked:
-            self.belief = after
-            return [results], n
         try:
-            answered = self._answered(after)
+            tests.met(stamps, found)
+            answered = self._answered(after) if look else after
         except np.linalg.LinAlgError:
             answered = None
-        if answered is None or not answered.is_finite:
+        if answered is None or answered is not after and not answered.is_finite:
             self.belief = results.belief.of_run(-2) if n > 1 else belief
-            self._leave_out(stamp_ns)
-            return [results.take(slice(-1))], n
+            self._leave_out(self.stamp_ns)
+            return results.take(slice(-1)), n
         self.belief = answered
-        if answered is after:
-            return [results], n
-        last = replace(results.take(slice(-1, None)), belief=Belief.stacked([answered]))
-        return [results.take(slice(-1)), last], n
+        return results if answered is after else results.ending_with(answered), n
 
     def _single(self, prepared: _Prepared, k: int, track: AttitudeTrack) -> FrameResult | None:
         """Process one frame, whatever it is like."""

@@ -139,6 +139,11 @@ class FrameResults:
                 self.catalog_id[begin:end], self.sigma[begin:end], nis, self.turn[k],
                 self.linear, self.track if k == 0 else AttitudeTrack.empty())
 
+    def ending_with(self, belief: Belief) -> FrameResults:
+        """Return the same with another belief after the last frame."""
+        return replace(self, belief=Belief.joined(
+            [self.belief.of_run(slice(-1)), Belief.stacked([belief])]))
+
     def take(self, frames: slice) -> FrameResults:
         """Return some of them."""
         if frames.indices(len(self)) == (0, len(self), 1):

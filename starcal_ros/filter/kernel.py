@@ -998,17 +998,17 @@ def _advance(belief, constants, intervals, stars, sums, out, most):
                     squares_out[k, i] += residual[0, star, i] * residual[0, star, i]
         seen[0] += used
         seen[1] += usable - used
-        looked, full = _due(stamp_ns[k], counts), window[FRAMES] >= window_frames
-        if looked and not (full or counts[AWAITED]):
+        look, full = _due(stamp_ns[k], counts), window[FRAMES] >= window_frames
+        if look and not (full or counts[AWAITED]):
             _fit(s[0], information[0], sizes, p, p_sigma, gain, freedom, p_root)
             if not _stands_out(gain, freedom, slots, counts):
                 clean = _as_expected(run, worst, seen, gated, star_frames, star_sums, cell_count,
                                      cell_squares, magnitude_count, magnitude_squares)
                 clean = clean and _harmless(E[0], root[0], p, gain, freedom, counts[BEGUN])
                 _begin(stamp_ns[k], clean, slots, counts, E[0], s[0], information[0])
-                looked = False
-        if looked or full:
-            return k + 1, looked
+                look = False
+        if look or full:
+            return k + 1, look
     return most, False
 
 
@@ -1028,9 +1028,9 @@ def advance(belief: stretch.Values, constants: stretch.Constants, intervals: str
     -------
     done : int
         Number of frames that were processed.
-    looked : bool
+    look : bool
         Whether the last of them is one to look at (`ModelTests.answer`). Where nothing stands out
         a candidate begins in passing.
     """
-    done, looked = _advance(*map(tuple, (belief, constants, intervals, stars, sums, out)), most)
-    return int(done), bool(looked)
+    done, look = _advance(*map(tuple, (belief, constants, intervals, stars, sums, out)), most)
+    return int(done), bool(look)

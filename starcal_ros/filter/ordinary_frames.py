@@ -74,7 +74,7 @@ class OrdinaryFrames:
         -------
         found : Gained
             Of as many frames as were ordinary.
-        looked : bool
+        look : bool
             Whether `ModelTests.answer` is to look at the last of them.
         """
         if self._made_of is None or filter_ is not self._made_of[0] or (
@@ -87,7 +87,7 @@ class OrdinaryFrames:
         low, high = int(first[0]), int(first[-1])
         rows = tests.rows(self._frames.catalog_id[low:high])
         out = Gained.room(until - k, high - low)
-        done, looked = arithmetic.advance(
+        done, look = arithmetic.advance(
             Values(*(part[None].copy() for part in (
                 now.C_gi, now.bias, now.C_sg, now.intrinsics, belief.root))),
             self._constants,
@@ -96,7 +96,7 @@ class OrdinaryFrames:
                          stars.uv[low:high], stars.sigma[low:high], self._magnitude[low:high],
                          rows),
             tests.sums(), out, until - k)
-        return out.of(done, int(first[done]) - low), looked
+        return out.of(done, int(first[done]) - low), look
 
     def results(self, k: int, found: Gained, belief: Belief, track: AttitudeTrack
                 ) -> FrameResults:
