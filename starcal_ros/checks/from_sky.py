@@ -29,6 +29,7 @@ _UNNAMED = 0.5          # part of the stars without a number that counts
 _WRONG = 0.01           # part of the stars with a wrong one
 _PHASE_PX = 1e-3        # least pixel phase that counts
 _FEW_PIXELS = 300       # that stars have been in, for their phase to be told
+_COLUMN = 1 << 20       # pixels of a column, at most
 
 
 def of_messages(frames: Frames, scenario: Scenario) -> Iterator[Finding]:
@@ -181,7 +182,8 @@ def _phase(sky: SeenSky, scenario: Scenario) -> Iterator[Finding]:
     used = sky.used
     phase = 2.0 * np.pi * (sky.spots.uv[used] + centre)
     weight = 1.0 / (sky.scale * sky.spots.sigma[used])
-    pixel = np.unique(np.rint(sky.spots.uv[used] + centre), axis=0, return_inverse=True)[1].ravel()
+    column, row = np.rint(sky.spots.uv[used] + centre).astype(np.int64).T
+    pixel = np.unique(column * _COLUMN + row, return_inverse=True)[1]
     if len(pixel) == 0 or pixel.max() < _FEW_PIXELS:
         return
     for axis in range(2):

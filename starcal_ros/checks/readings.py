@@ -10,6 +10,7 @@ import numpy as np
 
 from starcal_ros.checks.finding import Finding
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import robust
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import DEG_PER_HOUR, DEG_PER_SQRT_HOUR, NS
 from starcal_ros.measurements.samples import GyroSamples
@@ -118,7 +119,7 @@ def _steps(rate: Array) -> Array:
 def _quantised(gyro: GyroSamples, step: Array, scenario: Scenario) -> Iterator[Finding]:
     """Yield a quantisation that alone is worth more than the stated angular random walk."""
     largest = float(step[np.isfinite(step)].max())
-    period_s = float(np.median(np.diff(gyro.stamp_ns))) * NS
+    period_s = robust.middle(np.diff(gyro.stamp_ns)) * NS
     stated = scenario.gyro.arw_deg_sqrt_h
     noise = stated * DEG_PER_SQRT_HOUR / np.sqrt(period_s)
     if largest > _COARSE * noise:

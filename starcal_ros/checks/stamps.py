@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from starcal_ros.checks.finding import Finding
+from starcal_ros.core import robust
 from starcal_ros.core.arrays import Ints
 from starcal_ros.core.units import ARCSEC, NS
 from starcal_ros.core.utc import utc_text
@@ -82,11 +83,11 @@ def of_topic(what: str, stamp_ns: Ints, key: str | None, stated_hz: float, drive
         yield Finding('stamps go back', f'{back} of {len(step)} stamps of the {what} are not '
                       f'newer than the one before, {again} of them the same: sent twice, or out '
                       'of order', driver)
-    period = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    period = robust.middle(step[step > 0]) if (step > 0).any() else 0.0
     if not period:
         return
     apart = min(20, len(step))
-    mean = float(np.median(stamp_ns[apart:] - stamp_ns[:-apart])) / apart
+    mean = robust.middle(stamp_ns[apart:] - stamp_ns[:-apart]) / apart
     near = float((step < _BURST * mean).mean())
     scatter = float(np.percentile(np.abs(step - mean), 95)) / mean
     if near > _BURSTS and back <= _BACK * len(step):

@@ -27,7 +27,7 @@ from functools import cached_property
 import numpy as np
 
 from starcal_ros.checks.sky import SeenSky
-from starcal_ros.core import rotation
+from starcal_ros.core import robust, rotation
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.units import NS
 from starcal_ros.measurements import preintegration
@@ -94,13 +94,13 @@ def of_stars(sky: SeenSky) -> Turns:
     r, step = rotation.log(C), np.diff(sky.stamp_ns)
     every: Mask = np.ones(len(r), bool)
     turns = Turns(sky.stamp_ns[:-1], sky.stamp_ns[1:], r, C, sky.R[:-1], sky.R[1:], every)
-    return turns.take((step <= _LONG * np.median(step)) & (np.linalg.norm(r, axis=-1) < _FAR))
+    return turns.take((step <= _LONG * robust.middle(step)) & (np.linalg.norm(r, axis=-1) < _FAR))
 
 
 def covered(turns: Turns, gyro: GyroSamples, margin_s: float) -> Turns:
     """Return the intervals that readings cover without a silence, with a margin on both sides."""
     stamps, margin_ns = gyro.stamp_ns, int(margin_s * 1e9)
-    period, ends = float(np.median(np.diff(stamps))), _silences(stamps)
+    period, ends = robust.middle(np.diff(stamps)), _silences(stamps)
     begin_ns, end_ns = turns.begin_ns - margin_ns, turns.end_ns + margin_ns
     free = (np.searchsorted(stamps[ends + 1], begin_ns, side='right')
             == np.searchsorted(stamps[ends], end_ns, side='left'))
@@ -110,7 +110,7 @@ def covered(turns: Turns, gyro: GyroSamples, margin_s: float) -> Turns:
 def _silences(stamp_ns: Ints) -> Ints:
     """Return the readings that a silence follows."""
     step = np.diff(stamp_ns)
-    return np.flatnonzero(step > _SILENT * float(np.median(step)))
+    return np.flatnonzero(step > _SILENT * robust.middle(step))
 
 
 class Gyro:
@@ -173,7 +173,7 @@ class Gyro:
 
     @cached_property
     def _period_ns(self) -> float:
-        return float(np.median(np.diff(self._samples.stamp_ns)))
+        return robust.middle(np.diff(self._samples.stamp_ns))
 
     @cached_property
     def _integral(self) -> tuple[Ints, Array]:
