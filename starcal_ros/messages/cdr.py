@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from starcal_ros.core.arrays import Ints
+from starcal_ros.core.arrays import Ints, Mask
 from starcal_ros.files.foreign import clean
 
 ByteOrder = Literal['<', '>']
@@ -51,6 +51,10 @@ class Messages:
 
     def __len__(self) -> int:
         return len(self.start)
+
+    def take(self, rows: Mask) -> Messages:
+        """Return some of them."""
+        return Messages(self.data, self.start[rows], self.size[rows])
 
     @classmethod
     def join(cls, messages: Sequence[bytes]) -> Messages:

@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from starcal_ros.core.arrays import Ints, Mask
+from starcal_ros.core.arrays import Ints
 from starcal_ros.measurements.message_source import MessageBatch
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages.cdr import Messages, RecordError, frame_id
@@ -121,13 +121,15 @@ class RecordingStream:
         RecordError
             If a message is cut short or not what its type says.
         """
-        gyro, frames = _Held(GyroSamples, within), _Held(Frames, within)
+        gyro, frames = _Held(GyroSamples), _Held(Frames)
         counted = {topic.name: 0 for topic in self._topics}
         done = 0.0
         for stretch in self._bag.in_order(list(counted), within):
             for name, log_time, messages in stretch.messages:
                 counted[name] += len(messages)
                 self._keep_frame_id(name, messages)
+                if within is not None:
+                    log_time, messages = _within(log_time, messages, within)
                 if name == self.frames_topic:
                     frames.add(log_time, self._decoded(name, messages, self._decode))
                 else:
@@ -143,8 +145,8 @@ class RecordingStream:
         """Read the gyro samples that were recorded within some times, and when that was."""
         for stretch in self._bag.in_order([self.gyro_topic], within):
             for name, log_time, messages in stretch.messages:
-                inside = _inside(log_time, within)
-                yield log_time[inside], self._decoded(name, messages, decode_imu).take(inside)
+                log_time, messages = _within(log_time, messages, within)
+                yield log_time, self._decoded(name, messages, decode_imu)
 
     def _decoded(self, name: str, messages: Messages, decode: Callable[[Messages], Samples]
                  ) -> Samples:
@@ -162,9 +164,8 @@ class RecordingStream:
 class _Held(Generic[Samples]):
     """Messages of one topic that may have to wait for earlier ones of another chunk."""
 
-    def __init__(self, kind: type[Samples], within: Sequence[Span] | None) -> None:
+    def __init__(self, kind: type[Samples]) -> None:
         self._kind: type[Samples] = kind
-        self._within = within
         self._times: list[Ints] = []
         self._parts: list[Samples] = []
 
@@ -172,10 +173,7 @@ class _Held(Generic[Samples]):
         return bool(self._parts)
 
     def add(self, log_time: Ints, samples: Samples) -> None:
-        """Take messages, but for those that were recorded at no time that is asked for."""
-        if self._within is not None:
-            inside = _inside(log_time, self._within)
-            log_time, samples = log_time[inside], samples.take(inside)
+        """Take messages."""
         if len(log_time):
             self._times.append(log_time)
             self._parts.append(samples)
@@ -193,11 +191,13 @@ class _Held(Generic[Samples]):
         return samples[:ready]
 
 
-def _inside(log_time: Ints, within: Sequence[Span]) -> Mask:
-    """Tell which times are within some, that are in their order."""
+def _within(log_time: Ints, messages: Messages, within: Sequence[Span]
+            ) -> tuple[Ints, Messages]:
+    """Return the messages that were recorded within some times, which are in their order."""
     ends = np.array(within, np.int64).reshape(-1, 2)
     at = np.searchsorted(ends[:, 0], log_time, side='right') - 1
-    return np.asarray((at >= 0) & (log_time <= ends[at, 1]))
+    inside = (at >= 0) & (log_time <= ends[at, 1])
+    return log_time[inside], messages.take(inside)
 
 
 def _frames_topic(bag: Bag, path: Path, measure: Callable[..., Frames] | None,
