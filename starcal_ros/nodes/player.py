@@ -82,6 +82,11 @@ class Player(parameters.AnsweringNode):
             for name, publisher in publishers.items()))
 
     @property
+    def inputs(self) -> list[run_loop.Input]:
+        """What the loop serves once it plays."""
+        return [self._feed] if self._playback.begun else []
+
+    @property
     def finished(self) -> bool:
         """True when the bag is at its end and all of it delivered."""
         return self._feed.finished

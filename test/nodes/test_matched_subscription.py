@@ -75,7 +75,7 @@ def test_what_comes_after_a_message_gathers(clock, listening):
     listening.send(3)
     clock.now_s += 0.9 * GATHER_S
     assert listening.subscription.look_again() == 0
-    assert 0.0 < listening.subscription.gathers_s < GATHER_S
+    assert 0.0 < listening.subscription.rests_s < GATHER_S
     clock.now_s += 0.2 * GATHER_S
     assert wait_for(listening.subscription, 4) == 4
     assert listening.batches[0] == 1

@@ -5,6 +5,7 @@
 import signal
 import time
 
+import numpy as np
 import pytest
 
 rclpy = pytest.importorskip('rclpy')
@@ -17,7 +18,7 @@ from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.core.utc import unix_ns  # noqa: E402
 from starcal_ros.nodes.base.convoy import LEAD_S  # noqa: E402
-from starcal_ros.nodes.base.pacing import SimulatedClock  # noqa: E402
+from starcal_ros.nodes.base.pacing import Feed, SimulatedClock  # noqa: E402
 
 SCENARIO = TAN2018.replace({'simulation.real_time_factor': 0.0,
                             'simulation.wait_for_subscribers': 1,
@@ -110,6 +111,42 @@ def test_clock_stands_at_its_limit_and_goes_on_from_there(factor):
     assert clock.now_ns() == (2000 if factor == 0.0 else 1500)
     real_ns += 30
     assert clock.now_ns() == (2000 if factor == 0.0 else 1800)
+
+
+@pytest.mark.parametrize('factor', [0.0, 10.0])
+def test_clock_tells_how_long_it_takes_to_a_stamp(factor):
+    limit_ns = 1100
+    clock = SimulatedClock(1000, factor, lambda: 10**9, lambda: limit_ns)
+    assert clock.seconds_to(1000) == np.inf         # it has not begun
+    clock.begin()
+    assert clock.seconds_to(1000) == 0.0
+    assert clock.seconds_to(1100) == (0.0 if factor == 0.0 else pytest.approx(1e-8))
+    assert clock.seconds_to(1200) == np.inf         # beyond the limit
+    limit_ns = 1200
+    assert clock.seconds_to(1200) == (0.0 if factor == 0.0 else pytest.approx(2e-8))
+    clock.stop()
+    limit_ns = 1300
+    assert clock.seconds_to(1300) == np.inf
+
+
+def test_who_looks_at_a_feed_needs_no_timer(peer):
+    clock, published = SimulatedClock(1000, 0.0), []
+
+    class Publisher:
+        acknowledged = True
+
+        def publish(self, message):
+            published.append(message)
+            return True
+
+    to = Publisher()
+    feed = Feed(peer.node, clock, iter([(1000, to, 'a'), (2000, to, 'b')]))
+    timers = len([*peer.node.timers])
+    assert (feed.look_again(), feed.rests_s) == (0, np.inf)
+    assert len([*peer.node.timers]) == timers - 1
+    clock.begin()
+    assert feed.rests_s == 0.0
+    assert (feed.look_again(), published, feed.finished) == (2, ['a', 'b'], True)
 
 
 def test_a_recorder_of_another_kind_does_not_stand_in_for_the_node_that_is_waited_for(

@@ -13,15 +13,19 @@ publisher are 100 s of a gyro, and 83 min of a star tracker.
 
 from __future__ import annotations
 
+from typing import Any
+
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from std_msgs.msg import Header
 
 from starcal_ros.messages import topics
+from starcal_ros.nodes.base.matched_subscription import take_waiting
 from starcal_ros.nodes.base.qos import LATCHED
 
 LEAD_S = 10.0           # far more than is published in a turn of the loop, at any speed
 _STEP_NS = 10**9        # between two reports
+_AT_ONCE = 10           # reports
 _OVER = Time(sec=2**31 - 1)
 UNLIMITED_NS = 2**63 - 1
 _LEAD_NS = round(LEAD_S * 1e9)
@@ -29,6 +33,8 @@ _LEAD_NS = round(LEAD_S * 1e9)
 
 class Convoy:
     """What one simulator tells the others of its progress, and hears of theirs.
+
+    It is an `Input` of the loop: who waits goes on as soon as it hears.
 
     Parameters
     ----------
@@ -46,6 +52,23 @@ class Convoy:
             Header, topics.PROGRESS.name, self._hear, LATCHED)
         self._told_ns = start_ns - _STEP_NS
         self.tell(start_ns)
+
+    @property
+    def handle(self) -> Any:
+        """That of rclpy, to wait with."""
+        return self._subscription.handle
+
+    @property
+    def rests_s(self) -> float:
+        """Nothing: each report counts."""
+        return 0.0
+
+    def look_again(self) -> int:
+        """Hear what waits."""
+        reports = take_waiting(self._subscription, _AT_ONCE)
+        for report in reports:
+            self._hear(report)
+        return len(reports)
 
     @property
     def others(self) -> int:

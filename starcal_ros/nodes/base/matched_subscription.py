@@ -92,7 +92,7 @@ class MatchedSubscription:
         return self._subscription.handle
 
     @property
-    def gathers_s(self) -> float:
+    def rests_s(self) -> float:
         """How long messages are left to gather from now on."""
         if not self._gather_s or self._hurried():
             return 0.0
@@ -140,7 +140,7 @@ class MatchedSubscription:
         """Hand over what waits, and return how much; ask the publishers for less if need be."""
         if self._outdated and not self._destroyed:
             self._recreate()
-        if self.gathers_s > 0.0:
+        if self.rests_s > 0.0:
             return 0
         # What arrives while messages are taken does not always wake the executor once more.
         waiting = self._take_waiting(self._at_once)
@@ -156,7 +156,7 @@ class MatchedSubscription:
         self._take([message, *self._take_waiting(self._at_once - 1)])
 
     def _take_waiting(self, limit: int) -> list[Any]:
-        return [] if self._destroyed else _take_waiting(self._subscription, limit)
+        return [] if self._destroyed else take_waiting(self._subscription, limit)
 
     def _hand_over(self, messages: list[Any]) -> None:
         if messages:
@@ -199,8 +199,8 @@ def _looked_at(node: Node) -> list[MatchedSubscription]:
     return _LOOKED_AT[node]
 
 
-def _take_waiting(subscription: Subscription[Any], limit: int) -> list[Any]:
-    """Take what waits behind the message of a callback; the one use of this half-public API."""
+def take_waiting(subscription: Subscription[Any], limit: int) -> list[Any]:
+    """Take what waits, without the executor; the one use of this half-public API."""
     messages: list[Any] = []
     handle = subscription.handle
     with handle:

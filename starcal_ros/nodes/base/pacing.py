@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+import math
 import time
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.timer import Timer
 
+from starcal_ros.core.units import NS
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, drain
 from starcal_ros.nodes.base.matched_subscription import BATCH
@@ -51,6 +54,11 @@ class SimulatedClock:
         self._running_since_ns: int | None = None
         self._begun = self._stopped = False
 
+    @property
+    def begun(self) -> bool:
+        """Whether it shows the start or later."""
+        return self._begun
+
     def begin(self) -> None:
         """Show the start, and run; until then nothing is due."""
         self._shown_ns, self._begun = self._start_ns, True
@@ -81,6 +89,14 @@ class SimulatedClock:
             self._shown_ns, self._running_since_ns = limit_ns, real_ns
         return min(now_ns, limit_ns)
 
+    def seconds_to(self, stamp_ns: int) -> float:
+        """Return how long it takes to a stamp, infinite while the clock stands before it."""
+        left_ns = stamp_ns - self.now_ns()
+        if left_ns <= 0:
+            return 0.0
+        stands = self._running_since_ns is None or stamp_ns > self._limit_ns()
+        return math.inf if stands or self._factor == 0.0 else left_ns * NS / self._factor
+
 
 def passing_time(node: Node) -> Callable[[], int]:
     """Return the time by which a node runs [ns]: that of /clock with `use_sim_time`."""
@@ -90,7 +106,7 @@ def passing_time(node: Node) -> Callable[[], int]:
 
 
 class Feed:
-    """Publish items when their stamps are due, from a timer of the node.
+    """Publish items when their stamps are due: an `Input` of the loop, or else from a timer.
 
     A subscriber that is behind delays the feed; what is late is then published at once.
 
@@ -116,10 +132,11 @@ class Feed:
 
     def __init__(self, node: Node, clock: SimulatedClock, items: Iterator[Item],
                  on_progress: Callable[[int | None], None] = lambda stamp_ns: None) -> None:
-        self._clock, self._items, self._on_progress = clock, items, on_progress
+        self._node, self._clock, self._items, self._on_progress = node, clock, items, on_progress
         self._next = next(items, None)
         self._last_ns = self._next[0] if self._next else 0
-        self._timer = run_loop.steady_timer(node, _PERIOD_S, self._on_timer)
+        self._take_turn = run_loop.guarded(self._publish_due)
+        self._timer: Timer | None = run_loop.steady_timer(node, _PERIOD_S, self._publish_due)
         self.published: Counter[FlowPublisher] = Counter()
         self.paused = self.finished = False
 
@@ -127,6 +144,24 @@ class Feed:
     def now_ns(self) -> int:
         """The time of the clock, less what the subscribers delay the feed by."""
         return min(self._clock.now_ns(), self._next[0] if self._next else self._last_ns)
+
+    @property
+    def handle(self) -> None:
+        """None: time alone wakes it."""
+
+    @property
+    def rests_s(self) -> float:
+        """How long nothing is due."""
+        if self._next is None or self.paused or run_loop.stop_requested():
+            return math.inf
+        return self._clock.seconds_to(self._next[0])
+
+    def look_again(self) -> int:
+        """Publish what is due, and return how much that was; who calls this needs no timer."""
+        self._end_timer()
+        before = self.published.total()
+        self._take_turn()
+        return self.published.total() - before
 
     def pause(self) -> None:
         """Publish nothing until `resume`."""
@@ -138,7 +173,7 @@ class Feed:
         self.paused = False
         self._clock.go_on()
 
-    def _on_timer(self) -> None:
+    def _publish_due(self) -> None:
         due_ns, turn_ends = self._clock.now_ns(), time.monotonic() + _TURN_S
         for _ in range(BATCH):          # no more than a subscriber of this process takes at once
             if (self._next is None or self._next[0] > due_ns or self.paused
@@ -152,7 +187,12 @@ class Feed:
         self._on_progress(self._next[0] if self._next else None)
         if self._next is None and all(p.acknowledged for p in self.published):
             self.finished = True
-            self._timer.cancel()
+            self._end_timer()
+
+    def _end_timer(self) -> None:
+        if self._timer:
+            run_loop.end_timer(self._node, self._timer)
+            self._timer = None
 
     @property
     def drained(self) -> bool:

@@ -16,7 +16,7 @@ A node may have
 * ``drained``: false while there is something to wait for though the process was asked to end, as
   what others that are ending as well still send (`ending`); it is served until then;
 * ``close()``: called once before it is destroyed, whatever ended it;
-* ``inputs``: subscriptions (`MatchedSubscription`) that the loop waits for and empties itself. The
+* ``inputs``: what the loop serves itself (`Input`): subscriptions, and what is due at a time. The
   executor builds a set of all that there is, twice a message, which takes longer than the message
   does; so where all nodes of a process have inputs it gets a turn now and then, for the rest.
 
@@ -33,10 +33,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import wraps
+from itertools import chain
 import signal
 import sys
 import time
-from typing import Any
+from typing import Any, Protocol
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -60,6 +61,30 @@ STATUS_OK, STATUS_FAILED, STATUS_USAGE = 0, 1, 2
 
 USER_ERRORS = (ConfigError, ParameterException, RecordError)
 """What the user can mend: told in one line."""
+
+
+class Input(Protocol):
+    """What the loop serves by itself, without the executor.
+
+    Attributes
+    ----------
+    handle : object, optional
+        That of rclpy whose messages wake the loop; None for what time alone wakes.
+    rests_s : float
+        How long it need not be looked at from now on, whatever comes; 0 where a message counts.
+    """
+
+    @property
+    def handle(self) -> Any:
+        """See above."""
+
+    @property
+    def rests_s(self) -> float:
+        """See above."""
+
+    def look_again(self) -> int:
+        """Do what there is to do, and return how much it was."""
+
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, *(
     [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN else []))
@@ -210,11 +235,15 @@ class _Executor(SingleThreadedExecutor):
         self.idle = False
         return found
 
-    def wait_for(self, inputs: Sequence[Any]) -> None:
-        """Wait for a message of any input that is to have one at once, at most LOOK_S."""
-        left_s = [each.gathers_s for each in inputs]
-        handles = [each.handle for each, left in zip(inputs, left_s) if left <= 0.0]
-        timeout_s = min([LOOK_S, *(left for left in left_s if left > 0.0)])
+    def wait_for(self, inputs: Sequence[Input]) -> None:
+        """Wait for a message of any input that does not rest, or the end of a rest, or LOOK_S."""
+        handles, timeout_s = [], LOOK_S
+        for each in inputs:
+            rests_s, handle = each.rests_s, each.handle
+            if rests_s > 0.0 or handle is None:
+                timeout_s = min(timeout_s, rests_s)
+            else:
+                handles.append(handle)
         if not handles:                         # an empty set is an error
             time.sleep(timeout_s)
             return
@@ -266,8 +295,11 @@ def _ends(node: Node) -> bool:
 
 def _turn(executor: _Executor, nodes: Sequence[Node]) -> None:
     """Serve nodes for a while, at most SPIN_S where nothing comes."""
-    if not all(getattr(node, 'inputs', ()) for node in nodes):
-        executor.spin_once(timeout_sec=SPIN_S)
+    inputs = [getattr(node, 'inputs', ()) for node in nodes]
+    if not all(inputs):
+        executor.spin_once(timeout_sec=min([SPIN_S, *(
+            each.rests_s for each in chain(*inputs) if each.handle is None)]))
+        _look_at_all(nodes)
         return
     for _ in range(_CALLBACKS):
         executor.spin_once(timeout_sec=0.0)
@@ -276,8 +308,13 @@ def _turn(executor: _Executor, nodes: Sequence[Node]) -> None:
     ends, stopped = time.monotonic() + SPIN_S, stop_requested()
     while time.monotonic() < ends and stop_requested() is stopped:
         # Asked for anew: a callback above may have been a transition, which ends subscriptions.
-        if not sum(subscription.look_again() for node in nodes for subscription in node.inputs):
-            executor.wait_for([subscription for node in nodes for subscription in node.inputs])
+        if not _look_at_all(nodes):
+            executor.wait_for([*chain(*(node.inputs for node in nodes))])
+
+
+def _look_at_all(nodes: Sequence[Node]) -> int:
+    """Let all inputs do what there is to do, and return how much it was."""
+    return sum(each.look_again() for node in nodes for each in getattr(node, 'inputs', ()))
 
 
 def _end(executor: SingleThreadedExecutor, nodes: Sequence[Node]) -> None:

@@ -12,6 +12,7 @@ from starcal_ros.nodes.base.convoy import Convoy
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher, unheard, when_there
 from starcal_ros.nodes.base.pacing import Feed, Item, SimulatedClock, passing_time
 from starcal_ros.nodes.base.parameters import AnsweringNode
+from starcal_ros.nodes.base.run_loop import Input
 
 
 class Simulator(AnsweringNode):
@@ -25,10 +26,18 @@ class Simulator(AnsweringNode):
         """
         start_ns = stamp_ns('simulation.start_utc', simulation.start_utc)
         convoy = Convoy(self, start_ns)
-        clock = SimulatedClock(start_ns, simulation.real_time_factor, passing_time(self),
-                               lambda: convoy.limit_ns)
-        self._feed = Feed(self, clock, items, convoy.tell)
-        when_there(self, partial(_missing, sensor, simulation, convoy), clock.begin)
+        self._run_clock = SimulatedClock(start_ns, simulation.real_time_factor,
+                                         passing_time(self), lambda: convoy.limit_ns)
+        self._feed = Feed(self, self._run_clock, items, convoy.tell)
+        # /clock comes by the executor: who goes by it leaves all to it.
+        self._inputs: list[Input] = ([] if self.get_parameter('use_sim_time').value
+                                     else [self._feed, convoy])
+        when_there(self, partial(_missing, sensor, simulation, convoy), self._run_clock.begin)
+
+    @property
+    def inputs(self) -> list[Input]:
+        """What the loop serves once the run has begun."""
+        return self._inputs if self._run_clock.begun else []
 
     @property
     def finished(self) -> bool:
