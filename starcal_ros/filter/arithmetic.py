@@ -17,14 +17,14 @@ from starcal_ros.core.compiled import say_uncompiled
 
 try:
     from starcal_ros.filter.kernel import (COMPILED, advance, bends, carry, compose, correct,
-                                           fit, judge, propagate, tally)
+                                           fit, integrate, judge, propagate, spread, tally)
 except Exception as error:
     say_uncompiled('the filter', error)
     from starcal_ros.filter.reference import (COMPILED, advance, bends, carry, compose, correct,
-                                              fit, judge, propagate, tally)
+                                              fit, integrate, judge, propagate, spread, tally)
 
 __all__ = ['COMPILED', 'LeadingAxes', 'advance', 'bends', 'carry', 'compose', 'correct', 'fit',
-           'judge', 'propagate', 'tally']
+           'integrate', 'judge', 'propagate', 'spread', 'tally']
 
 
 class LeadingAxes:

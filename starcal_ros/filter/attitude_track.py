@@ -10,9 +10,11 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.core.units import NS
+from starcal_ros.filter import arithmetic
 from starcal_ros.filter.belief import Belief
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.states import EPSILON, PHI, SCALE
+from starcal_ros.filter.track_reference import Attained
 from starcal_ros.measurements import preintegration
 from starcal_ros.measurements.samples import GyroSamples
 
@@ -44,15 +46,12 @@ class AttitudeTrack(NamedTuple):
                    np.empty((0, 3)))
 
 
-class _Reached(NamedTuple):
-    """How far the integration from a frame has come, and the root of what the frame left."""
+class _Frame(NamedTuple):
+    """What the integration goes on from: the frame, and the root of what it left."""
 
-    frame_ns: int
     stamp_ns: int
-    C_gi: Array
-    gap_turn: float
-    turn: Array
-    states: Array
+    root: Array
+    drift: Array
 
 
 class AttitudeTracker:
@@ -62,7 +61,7 @@ class AttitudeTracker:
         self.filter = filter_
         self._period_ns = period_ns
         self._given_ns = np.iinfo(np.int64).min
-        self._reached: _Reached | None = None
+        self._frame: _Frame | None = None
 
     def advance(self, belief: Belief, frame_ns: int, gyro: GyroSamples, until_ns: int
                 ) -> AttitudeTrack:
@@ -79,42 +78,34 @@ class AttitudeTracker:
         until_ns : int
             Stamp before which the samples must lie.
         """
-        estimate = belief.estimate
-        reached = self._reached
-        if reached is None or reached.frame_ns != frame_ns:
-            reached = _Reached(frame_ns, frame_ns, estimate.C_gi, 0.0, np.zeros(3),
-                               belief.whole_root)
         first, last = np.searchsorted(
             gyro.stamp_ns, [max(frame_ns, self._given_ns + 1), until_ns]).tolist()
-        samples = gyro[first:last]
-        if not len(samples):
+        if first >= last:
             return AttitudeTrack.empty()
-        self._given_ns = int(samples.stamp_ns[-1])
-        pieces = preintegration.cut(
-            gyro, np.array([reached.stamp_ns, self._given_ns]), self._period_ns)
+        estimate = belief.estimate
+        if self._frame is None or self._frame.stamp_ns != frame_ns:
+            states = belief.whole_root
+            self._frame = _Frame(frame_ns, states, estimate.C_gi.T @ states[EPSILON])
+            self._reached = Attained(np.array([frame_ns]), estimate.C_gi[None],
+                                     np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1))
         gain = estimate.augmentation.gain(estimate.augmented)
-        C_gi = preintegration.track(reached.C_gi, pieces, estimate.bias, gain)
-        # A sample at the stamp from which the integration goes on is there without a step.
-        ends = np.concatenate(([reached.stamp_ns], pieces.end_ns))
-        C_gi = np.concatenate((reached.C_gi[None], C_gi))
-        gap_turn = reached.gap_turn + np.concatenate(([0.0], np.cumsum(pieces.gap_turn)))
-        turns = (pieces.rate - estimate.bias) @ gain.T * pieces.dt[:, None]
-        turn = reached.turn + np.concatenate((np.zeros((1, 3)), np.cumsum(turns, axis=0)))
-        states = reached.states
-        self._reached = _Reached(
-            frame_ns, self._given_ns, C_gi[-1], float(gap_turn[-1]), turn[-1], states)
-        rows = np.searchsorted(ends, samples.stamp_ns)
-        elapsed = (samples.stamp_ns - frame_ns)[:, None, None] * NS
-        root = states[PHI] + elapsed * (estimate.C_gi.T @ states[EPSILON])
+        attained = arithmetic.integrate(
+            gyro, first, last, self._reached, estimate.bias, gain, self._period_ns)
+        self._reached = attained.last
+        self._given_ns = int(attained.stamp_ns[-1])
+        root, elapsed = self._frame.root, np.asarray(
+            (attained.stamp_ns - frame_ns) * NS, np.float64)
+        bent = np.zeros((last - first, 3, root.shape[1]))
         for state, _, among in estimate.augmentation.errors():
-            slope = state.integrated(turn[rows])
+            slope = state.integrated(attained.turn)
             if slope is not None:
-                root = root + estimate.C_gi.T @ (slope @ states[among])
-        spread = (self.filter.walk**2 * elapsed + self.filter.density[0]**2 * elapsed**3 / 3.0
-                  + (self.filter.gap_acceleration * gap_turn[rows, None, None])**2)
-        return AttitudeTrack(samples.stamp_ns, C_gi[rows],
-                             root @ np.swapaxes(root, -1, -2) + spread * np.eye(3),
-                             (samples.rate - estimate.bias) @ gain.T)
+                bent += estimate.C_gi.T @ (slope @ root[among])
+        variance = (self.filter.walk**2 * elapsed + self.filter.density[0]**2 * elapsed**3 / 3.0
+                    + (self.filter.gap_acceleration * attained.gap_turn)**2)
+        return AttitudeTrack(
+            attained.stamp_ns, attained.C_gi,
+            arithmetic.spread(root[PHI], self._frame.drift, bent, elapsed, variance),
+            attained.rate)
 
     def latest(self, belief: Belief, frame_ns: int, gyro: GyroSamples) -> tuple[int, Array]:
         """Return the integrated attitude C_gi, (3, 3), at the last gyro sample, and its stamp.
