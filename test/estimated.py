@@ -5,11 +5,9 @@
 from starcal_ros.filter import verdict
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.states import STATE_NAMES, UNIT
-from starcal_ros.messages import topics
-from starcal_ros.messages.conventions import CALIBRATED_FRAME
+from starcal_ros.messages import cdr_results, topics
 from starcal_ros.recording.writer import Writer, serialize, typestore
 from starcal_ros.simulation import sensors
-from starcal_ros.simulation.write_recording import CONTENTS
 
 
 def record_results(path, scenario, namespace=''):
@@ -21,16 +19,16 @@ def record_results(path, scenario, namespace=''):
     with Writer(path) as writer:
         for number, frame in enumerate(calibrator.process()):
             stamp_ns, belief = frame.stamp_ns, frame.belief
-            messages = {topics.STATE: CONTENTS.state(stamp_ns, belief),
-                        topics.CAMERA: CONTENTS.camera_info(
-                            stamp_ns, belief.estimate.intrinsics, calibrator.filter.detector,
-                            CALIBRATED_FRAME),
-                        topics.RESIDUALS: CONTENTS.residuals(frame)}
+            messages = {topics.STATE: cdr_results.encode_state(stamp_ns, belief),
+                        topics.CAMERA: cdr_results.encode_camera(
+                            stamp_ns, belief.estimate.intrinsics, calibrator.filter.detector),
+                        topics.RESIDUALS: cdr_results.encode_residuals(frame)}
             if number % 2 == 0:
-                messages[topics.DIAGNOSTICS] = _diagnostics(calibrator, number)
+                messages[topics.DIAGNOSTICS] = serialize(
+                    topics.DIAGNOSTICS.type_name, _diagnostics(calibrator, number))
             for delay_ns, (topic, message) in enumerate(messages.items()):
-                writer.write(namespace + topic.recorded, topic.type_name,
-                             serialize(topic.type_name, message), stamp_ns + delay_ns)
+                writer.write(namespace + topic.recorded, topic.type_name, message,
+                             stamp_ns + delay_ns)
     return calibrator
 
 

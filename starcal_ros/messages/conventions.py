@@ -16,7 +16,7 @@ from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array
 from starcal_ros.core.camera import INTRINSICS, Detector
 from starcal_ros.filter.belief import Belief
-from starcal_ros.filter.states import N_STATES, PSI, STATE_NAMES
+from starcal_ros.filter.states import EPSILON, N_STATES, PSI, STATE_NAMES
 
 INERTIAL_FRAME, GYRO_FRAME, OPTICAL_FRAME = 'icrf', 'gyro', 'star_tracker_optical'
 CALIBRATED_FRAME, INTRINSICS_FRAME = (
@@ -69,6 +69,13 @@ def optical_in_gyro(C_sg: Array) -> Array:
 def mounting_from_optical(C_go: Array) -> Array:
     """Return the mounting C_sg, (3, 3), of an orientation of star_tracker_optical in gyro."""
     return C_os.T @ C_go.T
+
+
+def bias_covariance(covariance: Array) -> Array:
+    """Return the 6x6 twist covariance of the gyro bias, of a 16x16 state covariance."""
+    twist = np.zeros((6, 6))
+    twist[3:, 3:] = covariance[EPSILON, EPSILON]
+    return twist
 
 
 def mounting_covariance(C_sg: Array, covariance: Array) -> Array:

@@ -128,7 +128,6 @@ class Estimator(ManagedNode):
         """Publish what the calibrator gives by now."""
         calibrator = self._calibrator
         for frame in calibrator.process(tracked=True):
-            self._results.publish_track(calibrator, frame.track)
             self._results.publish_frame(calibrator, frame)
             self._progress.add(frame.stamp_ns, frame.belief.sigma)
         self._results.publish_track(calibrator, calibrator.track())

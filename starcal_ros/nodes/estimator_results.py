@@ -9,12 +9,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from starcal_ros.filter.attitude_track import AttitudeTrack
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.frame_result import FrameResult
-from starcal_ros.messages import cdr_imu, topics
-from starcal_ros.messages.conventions import CALIBRATED_FRAME, GYRO_FRAME
+from starcal_ros.messages import cdr_imu, cdr_results, topics
+from starcal_ros.messages.conventions import GYRO_FRAME
 from starcal_ros.nodes.base.managed_node import ManagedNode
 from starcal_ros.nodes.base.qos import message_type
 from starcal_ros.nodes.base.rhythm import Rhythm
-from starcal_ros.nodes.base.ros_messages import CONTENTS
 
 
 class Results:
@@ -35,29 +34,30 @@ class Results:
         self._mounting = node.offer(topics.MOUNTING)
         self._residuals = node.offer(topics.RESIDUALS)
         # tf2_msgs is not among PyPI's packages of ROS 2; every distribution has it.
-        self._transforms = message_type(topics.TRANSFORM.type_name)
-        self._transform = self._transforms and node.offer(topics.TRANSFORM)
+        self._transform = (node.offer(topics.TRANSFORM)
+                           if message_type(topics.TRANSFORM.type_name) else None)
         self._diagnostics = node.offer(topics.DIAGNOSTICS)
 
     def publish_track(self, calibrator: Calibrator, track: AttitudeTrack) -> None:
         """Publish the attitude and the rate at gyro stamps."""
-        for row in self.rhythm.spread(cdr_imu.encode_attitudes(
-                track, calibrator.rate_covariance, GYRO_FRAME)):
-            self._attitude.publish(row.tobytes())
+        if len(track.stamp_ns):
+            for row in self.rhythm.spread(cdr_imu.encode_attitudes(
+                    track, calibrator.rate_covariance, GYRO_FRAME)):
+                self._attitude.publish(row.tobytes())
 
     def publish_frame(self, calibrator: Calibrator, frame: FrameResult) -> None:
-        """Publish what a frame gave."""
+        """Publish what a frame gave: the state first, which is waited for."""
         stamp_ns, belief = frame.stamp_ns, frame.belief
+        self._state.publish(cdr_results.encode_state(stamp_ns, belief))
+        self.publish_track(calibrator, frame.track)
         estimate, covariance = belief.estimate, belief.covariance
-        self._state.publish(CONTENTS.state(stamp_ns, belief))
-        self._camera.publish(CONTENTS.camera_info(
-            stamp_ns, estimate.intrinsics, calibrator.filter.detector, CALIBRATED_FRAME))
-        self._bias.publish(CONTENTS.gyro_bias(stamp_ns, estimate.bias, covariance))
-        self._mounting.publish(CONTENTS.mounting(stamp_ns, estimate.C_sg, covariance))
+        self._camera.publish(cdr_results.encode_camera(
+            stamp_ns, estimate.intrinsics, calibrator.filter.detector))
+        self._bias.publish(cdr_results.encode_bias(stamp_ns, estimate.bias, covariance))
+        self._mounting.publish(cdr_results.encode_mounting(stamp_ns, estimate.C_sg, covariance))
         if self._transform:
-            self._transform.publish(self._transforms(
-                transforms=CONTENTS.transforms(stamp_ns, estimate.C_sg)))
-        self._residuals.publish(CONTENTS.residuals(frame))
+            self._transform.publish(cdr_results.encode_transforms(stamp_ns, estimate.C_sg))
+        self._residuals.publish(cdr_results.encode_residuals(frame))
 
     def publish_diagnostics(self, message: DiagnosticArray) -> None:
         """Publish how the estimator is."""

@@ -17,8 +17,8 @@ from std_msgs.msg import Float64MultiArray
 
 from starcal_ros.config.models import detector, intrinsics
 from starcal_ros.config.parameter import ConfigError
-from starcal_ros.messages import cdr_image, cdr_pointcloud, topics
-from starcal_ros.messages.conventions import OPTICAL_FRAME
+from starcal_ros.messages import cdr_image, cdr_imu, cdr_pointcloud, topics
+from starcal_ros.messages.conventions import INERTIAL_FRAME, OPTICAL_FRAME
 from starcal_ros.nodes.base import parameters, run_loop
 from starcal_ros.nodes.base.flow_publisher import FlowPublisher
 from starcal_ros.nodes.base.pacing import Item
@@ -61,14 +61,15 @@ class StarTrackerSim(Simulator):
 
     def _items(self) -> Iterator[Item]:
         while len(frames := self._simulator.next(_BATCH)):
-            attitudes = self._truth.motion.attitude(frames.stamp_ns)
-            for stamp_ns, C_ig, message in zip(frames.stamp_ns.tolist(), attitudes,
-                                               cdr_pointcloud.encode_centroids(frames)):
+            attitudes = cdr_imu.encode_quaternions(
+                frames.stamp_ns, self._truth.motion.attitude(frames.stamp_ns), INERTIAL_FRAME)
+            for stamp_ns, attitude, message in zip(frames.stamp_ns.tolist(), attitudes,
+                                                   cdr_pointcloud.encode_centroids(frames)):
                 if self._renderer and self._images:
                     yield stamp_ns, self._images, cdr_image.encode_image(
                         stamp_ns, self._renderer.image(stamp_ns))
                 yield stamp_ns, self._centroids, message
-                yield stamp_ns, self._attitude, CONTENTS.attitude(stamp_ns, C_ig)
+                yield stamp_ns, self._attitude, attitude.tobytes()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -26,6 +26,7 @@ from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.measurements.samples import Frames, GyroSamples  # noqa: E402
 from starcal_ros.messages import topics  # noqa: E402
 from starcal_ros.messages.cdr_imu import encode_imu  # noqa: E402
+from starcal_ros.messages.cdr_results import encode_transforms  # noqa: E402
 from starcal_ros.messages.conventions import STATE_LAYOUT  # noqa: E402
 from starcal_ros.nodes.base.stamps import stamp_reader  # noqa: E402
 from starcal_ros.nodes.recorder import Recorder  # noqa: E402
@@ -34,7 +35,6 @@ from starcal_ros.recording import reader  # noqa: E402
 from starcal_ros.recording.bag import open_bag  # noqa: E402
 from starcal_ros.recording.qos import LATCHED  # noqa: E402
 from starcal_ros.recording.writer import Writer, serialize, typestore  # noqa: E402
-from starcal_ros.simulation.write_recording import CONTENTS  # noqa: E402
 
 START_NS, N_GYRO, N_FRAMES = 1_782_993_600_000_000_000, 3000, 60
 EMPTY_ARRAY = b'\0\1\0\0' + bytes(12)       # a Float64MultiArray in CDR
@@ -181,6 +181,18 @@ def test_stamps_that_are_late_or_wrong_for_once_move_no_log_time():
     assert log_times_s(gyro, [15, 5, 5.5, 16, 6, 6.5, 17]) == [15, 15, 15, 16, 16, 16, 17]
 
 
+@pytest.mark.parametrize('size', [2, 7, 100])
+def test_messages_that_come_together_get_the_log_times_of_single_ones(size):
+    rng = np.random.default_rng(size)
+    stamps = np.cumsum(rng.choice([0.5, 0.5, 0.5, 0.5, 0.0, -0.5, -3.0, 5000.0], 400)) + 10000.0
+    singly, together = channels('singly')[0], channels('together')[0]
+    expected = [each for stamp in stamps for each in log_times_s(singly, [stamp])]
+    assert [each for low in range(0, 400, size)
+            for each in log_times_s(together, stamps[low:low + size])] == expected
+    assert together.own_stamps_ns == singly.own_stamps_ns
+    assert (together.newest_ns, together.is_odd) == (singly.newest_ns, singly.is_odd)
+
+
 def test_log_time_is_the_stamp_inside_and_that_of_the_run_for_another_clock(
         start, peer, tmp_path):
     """All is published before the recorder is awake again, so it comes in batches, by topic.
@@ -226,10 +238,9 @@ class Transforms:
 
 
 def test_stamp_of_transforms_is_that_of_the_first():
-    messages = CONTENTS.transforms(START_NS + 7, np.eye(3))
     named = typestore().types['tf2_msgs/msg/TFMessage']
     of_transforms = stamp_reader(Transforms)
-    assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named(messages))) == START_NS + 7
+    assert of_transforms(encode_transforms(START_NS + 7, np.eye(3))) == START_NS + 7
     assert of_transforms(serialize('tf2_msgs/msg/TFMessage', named([]))) is None
 
 
