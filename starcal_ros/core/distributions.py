@@ -79,6 +79,11 @@ def poisson_sf(value: int, mean: float) -> Any:
     return _special().pdtrc(value, mean) if value >= 0 else 1.0
 
 
+def load() -> None:
+    """Import what they are made of now, and not 50 ms in the middle of a run."""
+    _special()
+
+
 def _special() -> Any:
     from scipy import special
     return special

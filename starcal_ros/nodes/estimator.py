@@ -12,6 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from starcal_ros import __version__
 from starcal_ros.config.scenario import Scenario
+from starcal_ros.core import distributions
 from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.progress import Progress
 from starcal_ros.messages import cdr_imu, cdr_pointcloud, topics
@@ -60,6 +61,7 @@ class Estimator(ManagedNode):
 
     def activate(self) -> None:
         """Listen to the sensors, as soon as the results have the listeners they must have."""
+        distributions.load()
         self._diagnostics = Diagnostics(self, self.inputs)
         self.repeat(_DIAGNOSTICS_S, self._publish_diagnostics, _FIRST_S)
         own = self.scenario.estimator
