@@ -12,10 +12,10 @@ a second back, until the next one is, too. Where clocks are set back, the log ti
 
 A topic is subscribed to as soon as somebody publishes it, so that the graph shows no others.
 
-What arrives is in the file half a second of its own time later, or a second of real time: a
-recorder that is killed loses no more. What is missing is counted, by the stamps and by the
-middleware, said, and written into the file. A file that can not be written any further, or is
-removed, ends the recorder, and it alone, with status 1.
+What arrives is taken within 10 ms, and is in the file half a second of its own time later, or a
+second of real time: a recorder that is killed loses no more. What is missing is counted, by the
+stamps and by the middleware, said, and written into the file. A file that can not be written any
+further, or is removed, ends the recorder, and it alone, with status 1.
 """
 
 from __future__ import annotations
@@ -58,7 +58,11 @@ class Recorder(ManagedNode):
     ----------
     failed : bool
         Whether the recording had to end; the node then ends.
+    gathers_s : float
+        How long its inputs may gather: nobody waits for a recording, and no queue is full by then.
     """
+
+    gathers_s = 0.01
 
     def __init__(self, **options: Any) -> None:
         super().__init__('recorder', 'recorder', **options)

@@ -73,7 +73,13 @@ class Channel:
         if self.known:          # a latched message comes once more to who subscribes again
             batch, given = [message for message in batch if message not in self.known], batch
             self.known.difference_update(given)
-        for stamp_ns in map(self.stamp_ns, batch):
+        stamps_ns = [*map(self.stamp_ns, batch)]
+        if self._goes_on(stamps_ns):
+            self.own_stamps_ns += stamps_ns
+            self.log_times_ns += stamps_ns
+            self.newest_ns, newest_ns = stamps_ns[-1], max(newest_ns or 0, stamps_ns[-1])
+            self.is_odd, stamps_ns = False, []
+        for stamp_ns in stamps_ns:
             if self.of_ros or stamp_ns is None:
                 log_time = None if newest_ns is None else self._near(stamp_ns, newest_ns)
             else:
@@ -96,6 +102,15 @@ class Channel:
                       self.qos)
         self.messages, self.log_times_ns, self.own_stamps_ns = [], [], []
         return batch
+
+    def _goes_on(self, stamps_ns: list[int | None]) -> bool:
+        """Tell whether stamps are log times as they are: no clock was set back, nor is one now."""
+        if self.of_ros or self.offset_ns or self.run.offset_ns or not self.newest_ns:
+            return False
+        if None in stamps_ns or not stamps_ns:
+            return False
+        return (stamps_ns == sorted(stamps_ns) and self.newest_ns <= stamps_ns[0]
+                and stamps_ns[-1] <= self.newest_ns + FAR_NS)
 
     def _log_time_ns(self, stamp_ns: int) -> int:
         """Return the log time of the next message, no earlier than that of the one before.

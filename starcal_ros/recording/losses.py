@@ -92,7 +92,10 @@ class StampGaps:
         steps = np.diff(newest)
         steps = steps[(steps > 0) & (steps < self._limit_ns)]
         self._recent.extend(steps.tolist())
-        if len(self._recent) < _ENOUGH:
+        if len(self._recent) < _ENOUGH or not steps.size:
+            return
+        # A live recorder comes here for each topic with a few stamps, mostly without a gap.
+        if steps.max() <= _GAP * min(self._recent):
             return
         recent = np.array(self._recent)
         period = np.median(recent)

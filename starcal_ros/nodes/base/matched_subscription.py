@@ -73,13 +73,14 @@ class MatchedSubscription:
         self._durability = LATCHED.durability if latched else STREAM.durability
         self.received, self.lost = 0, 0
         self._subscription = self._create()
+        self._resolved = self._subscription.topic_name      # rclpy asks rcl each time
         self._outdated = self._destroyed = False
         _looked_at(node).append(self)
 
     @property
     def topic(self) -> str:
         """Resolved name of the topic."""
-        return self._subscription.topic_name
+        return self._resolved
 
     @property
     def publishers(self) -> int:

@@ -18,7 +18,10 @@ A node may have
 * ``close()``: called once before it is destroyed, whatever ended it;
 * ``inputs``: what the loop serves itself (`Input`): subscriptions, and what is due at a time. The
   executor builds a set of all that there is, twice a message, which takes longer than the message
-  does; so where all nodes of a process have inputs it gets a turn now and then, for the rest.
+  does; so where all nodes of a process have inputs it gets a turn now and then, for the rest;
+* ``gathers_s``: how long its inputs are left alone after something has come: it takes a few
+  messages as fast as one. Where other nodes of the process are served as well, not longer than
+  each of them allows.
 
 Several nodes in one process share one thread, so a callback must not wait for what another of
 them has yet to do. Of nodes that end together, the one that was made last is closed first.
@@ -56,6 +59,7 @@ from starcal_ros.nodes.base import command_line, ending
 
 LOOK_S = 0.05                   # between looks at the inputs where nothing is said to come
 _CALLBACKS = 4                  # of the executor, at most, between two stretches with the inputs
+_MANY = 500                     # messages at once: more are coming, and nothing rests
 SPIN_S = 0.1                    # longest time until a signal is seen
 STATUS_OK, STATUS_FAILED, STATUS_USAGE = 0, 1, 2
 
@@ -308,8 +312,12 @@ def _turn(executor: _Executor, nodes: Sequence[Node]) -> None:
     ends, stopped = time.monotonic() + SPIN_S, stop_requested()
     while time.monotonic() < ends and stop_requested() is stopped:
         # Asked for anew: a callback above may have been a transition, which ends subscriptions.
-        if not _look_at_all(nodes):
+        found = _look_at_all(nodes)
+        if not found:
             executor.wait_for([*chain(*(node.inputs for node in nodes))])
+        elif found < _MANY and (gathers_s := min(getattr(each, 'gathers_s', 0.0)
+                                                 for each in nodes)):
+            time.sleep(gathers_s)
 
 
 def _look_at_all(nodes: Sequence[Node]) -> int:

@@ -23,6 +23,7 @@ FAR_NS = 3600 * 10**9
 """Stamps further apart are those of different clocks, such as that of a simulated run."""
 
 _FIRST, _IN_ARRAY = 4, 8        # behind the encapsulation, and the number of elements
+_LITTLE, _BIG = struct.Struct('<iI'), struct.Struct('>iI')
 _TIME = 'builtin_interfaces/Time'
 _STAMPED = ('std_msgs/Header', _TIME)
 _ARRAYS = ('sequence<geometry_msgs/TransformStamped>',)
@@ -51,7 +52,7 @@ def _first(kind: type) -> str:
 
 def _at(message: bytes, offset: int) -> int:
     # The second byte of the encapsulation tells the byte order.
-    sec, nanosec = struct.unpack_from('<iI' if message[1] & 1 else '>iI', message, offset)
+    sec, nanosec = (_LITTLE if message[1] & 1 else _BIG).unpack_from(message, offset)
     return int(sec * 10**9 + nanosec)
 
 
