@@ -28,6 +28,7 @@ GYRO_KEPT_NS = 3600 * 10**9
 FRAMES_KEPT = 20_000
 """Frames that are kept while no reading comes."""
 
+_NO_FRAMES = Frames.empty()
 _ONE_SIDED_NS = 5 * 10**9   # time that one topic goes on without the other's jump
 
 
@@ -83,7 +84,9 @@ class Intake:
         """Return what is believed by now and has not been taken, of the present stretch."""
         gyro, frames = self._gyro, self._frames
         self._gyro, self._frames = [], []
-        return GyroSamples.concatenate(gyro), Frames.concatenate(frames)
+        # Live, one batch of one of the two comes at a time.
+        return (gyro[0] if len(gyro) == 1 else GyroSamples.concatenate(gyro),
+                Frames.concatenate(frames) if frames else _NO_FRAMES)
 
     def take_dropped(self) -> int:
         """Return how many messages were dropped since the last call."""

@@ -9,12 +9,14 @@
                         its covariance 9, linear acceleration 3, its covariance 9
     geometry_msgs/QuaternionStamped     the same header | pad to 8 | 4 float64
 
-The length of ``frame_id`` alone decides where the numbers stand, so that a few gathers read any
-number of messages.
+The length of ``frame_id`` alone decides where the numbers stand: messages of one sender are the
+rows of one array, and a few gathers read any number of others.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,14 +25,15 @@ from numpy.typing import NDArray
 from starcal_ros.core import rotation
 from starcal_ros.core.arrays import Array, Ints
 from starcal_ros.measurements.samples import GyroSamples
-from starcal_ros.messages.cdr import (ENCAPSULATION, HEADER, Messages, by_byte_order, gather,
-                                      header_stamp_ns, require)
+from starcal_ros.messages.cdr import (ENCAPSULATION, HEADER, ByteOrder, Messages, by_byte_order,
+                                      gather, header_stamp_ns, require)
 
 if TYPE_CHECKING:
     from starcal_ros.filter.attitude_track import AttitudeTrack
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 _IMU_NUMBERS = 37
+_LAYOUTS = 16           # that are remembered
 _ORIENTATION_W, _ORIENTATION_COVARIANCE = 3, 4
 _RATE, _RATE_COVARIANCE, _ACCELERATION_COVARIANCE = 13, 16, 28
 
@@ -114,16 +117,28 @@ def encode_quaternions(stamp_ns: Ints, C: Array, frame_id: str) -> NDArray[np.ui
 
 def _rows(stamp_ns: Ints, frame_id: str, count: int = _IMU_NUMBERS) -> NDArray[np.void]:
     """Return messages with some numbers, of which all but the header is zero."""
-    name = frame_id.encode() + b'\0'
-    padded = -(-(HEADER.itemsize + len(name)) // 8) * 8 - HEADER.itemsize
-    dtype = np.dtype([('encapsulation', 'u1', ENCAPSULATION), ('sec', '<i4'), ('nanosec', '<u4'),
-                      ('length', '<u4'), ('name', f'S{padded}'),
-                      ('numbers', '<f8', count)])
-    rows = np.zeros(len(stamp_ns), dtype)
-    rows['encapsulation'][:, 1] = 1
+    rows = _row(frame_id, count).repeat(len(stamp_ns))
     rows['sec'], rows['nanosec'] = np.divmod(stamp_ns, 10**9)
-    rows['length'], rows['name'] = len(name), name
     return rows
+
+
+@lru_cache(_LAYOUTS)
+def _row(frame_id: str, count: int) -> NDArray[np.void]:
+    """Return a message of which all but encapsulation and frame_id is zero, (1,)."""
+    name = frame_id.encode() + b'\0'
+    row = np.zeros(1, _layout(len(name), count, '<'))
+    row['encapsulation'][:, 1] = 1
+    row['length'], row['name'] = len(name), name
+    return row
+
+
+@lru_cache(_LAYOUTS)
+def _layout(length: int, count: int, order: ByteOrder) -> np.dtype[np.void]:
+    """Return the layout of messages by the length of their frame_id: all before the numbers."""
+    padded = -(-(HEADER.itemsize + length) // 8) * 8 - HEADER.itemsize
+    return np.dtype([('encapsulation', 'u1', ENCAPSULATION), ('sec', f'{order}i4'),
+                     ('nanosec', f'{order}u4'), ('length', f'{order}u4'), ('name', f'S{padded}'),
+                     ('numbers', f'{order}f8', count)])
 
 
 def _bytes(rows: NDArray[np.void]) -> NDArray[np.uint8]:
@@ -138,6 +153,33 @@ def decode_imu(messages: Messages) -> GyroSamples:
     RecordError
         If a message is too short for its own content or is not plain CDR.
     """
+    rows = _alike(messages)
+    if rows is not None:
+        return GyroSamples(header_stamp_ns(rows), np.array(
+            rows['numbers'][:, _RATE:_RATE + 3], np.float64))
+    return _decode_any(messages)
+
+
+def _alike(messages: Messages) -> NDArray[np.void] | None:
+    """Return messages that lie end to end and have one layout, (n,); None where they do not."""
+    n, size = len(messages), int(messages.size[0]) if len(messages) else 0
+    if size < ENCAPSULATION + HEADER.itemsize or n * size != len(messages.data) or (
+            messages.start != np.arange(n) * size).any():
+        return None
+    table = messages.data.reshape(n, size)
+    kind, length = table[:, :2], table[:, 12:16]
+    if (kind != kind[0]).any() or (length != length[0]).any() or kind[0, 0] or kind[0, 1] > 1:
+        return None
+    order: ByteOrder = '<' if kind[0, 1] else '>'
+    (number,) = struct.unpack(f'{order}I', length[0].tobytes())
+    if size != ENCAPSULATION + (HEADER.itemsize + number + 7 & ~7) + 8 * _IMU_NUMBERS:
+        return None
+    rows: NDArray[np.void] = table.view(_layout(number, _IMU_NUMBERS, order))[:, 0]
+    return rows
+
+
+def _decode_any(messages: Messages) -> GyroSamples:
+    """Do as `decode_imu`, for messages of any layouts."""
     stamp_ns, rate = np.empty(len(messages), np.int64), np.empty((len(messages), 3))
     for rows, order in by_byte_order(messages):
         start = messages.start[rows] + ENCAPSULATION

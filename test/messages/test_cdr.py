@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.messages import cdr_pointcloud
 from starcal_ros.messages.cdr import Messages, RecordError, frame_id
-from starcal_ros.messages.cdr_imu import IMU_TYPE, decode_imu, encode_imu
+from starcal_ros.messages.cdr_imu import IMU_TYPE, _decode_any, decode_imu, encode_imu
 from starcal_ros.messages.cdr_pointcloud import (CLOUD_TYPE, decode_centroids, encode_centroids,
                                                  with_catalog_ids)
 
@@ -101,6 +101,15 @@ def test_imu_of_any_frame_id_and_byte_order_is_decoded_in_one_batch():
 
 def test_gyro_samples_survive_a_round_trip_with_all_that_is_not_finite():
     assert_same(decode_imu(Messages.join([row.tobytes() for row in encode_imu(GYRO)])), GYRO)
+
+
+@pytest.mark.parametrize('little_endian', [False, True])
+@pytest.mark.parametrize('frame_id', ['', 'gyro', 'kreisel_ä'])
+def test_imu_of_one_layout_is_decoded_as_that_of_any(frame_id, little_endian):
+    messages = Messages.join([imu(stamp, rate, frame_id, little_endian=little_endian)
+                              for stamp, rate in zip(GYRO.stamp_ns, GYRO.rate)])
+    assert_same(decode_imu(messages), GYRO)
+    assert_same(_decode_any(messages), GYRO)
 
 
 def test_nothing_decodes_to_nothing():
