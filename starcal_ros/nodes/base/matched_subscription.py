@@ -18,6 +18,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from starcal_ros.nodes.base import run_loop
 from starcal_ros.nodes.base.qos import LATCHED, POLICIES, STREAM
@@ -27,6 +28,7 @@ _MOST_WAITING = 5000            # messages that Fast DDS keeps for a subscriber
 BACKLOG_S = 40.0                # after a stop, to use up what has come
 _LOOK_S = 0.25                  # between looks for messages that nobody announced
 _LOOKED_AT: WeakKeyDictionary[Node, list[MatchedSubscription]] = WeakKeyDictionary()
+_LOOKS: WeakKeyDictionary[Node, Timer] = WeakKeyDictionary()
 
 
 class MatchedSubscription:
@@ -138,6 +140,12 @@ class MatchedSubscription:
                 self._type, self._topic, on_message, qos, raw=self._raw, event_callbacks=events)
 
     def look_again(self) -> int:
+        """Look, and return how much there was; who calls this again and again needs no timer."""
+        if looks := _LOOKS.pop(self._node, None):
+            run_loop.end_timer(self._node, looks)
+        return self._look()
+
+    def _look(self) -> int:
         """Hand over what waits, and return how much; ask the publishers for less if need be."""
         if self._outdated and not self._destroyed:
             self._recreate()
@@ -192,11 +200,11 @@ class MatchedSubscription:
 
 
 def _looked_at(node: Node) -> list[MatchedSubscription]:
-    """Return the subscriptions of a node that one timer looks at again and again."""
+    """Return the subscriptions of a node, at which one timer looks where no loop does."""
     if node not in _LOOKED_AT:
         subscriptions = _LOOKED_AT[node] = []
-        run_loop.steady_timer(node, _LOOK_S, lambda: [
-            subscription.look_again() for subscription in list(subscriptions)])
+        _LOOKS[node] = run_loop.steady_timer(node, _LOOK_S, lambda: [
+            subscription._look() for subscription in list(subscriptions)])
     return _LOOKED_AT[node]
 
 
