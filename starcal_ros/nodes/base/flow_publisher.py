@@ -11,8 +11,8 @@ died without a word is forgotten when its lease ends (Fast DDS: 20 s).
 A latched topic (results, truth) is transient local and keeps its last message: of several, who
 comes late would get the oldest first, as `ros2 topic echo --once` showed. `FlowPublisher` waits
 where it would overwrite one that a subscriber has not acknowledged, for one that is overwritten
-is lost. That takes 5 ms, or where the acknowledgement is missed until it is asked for: after 3 s
-by Fast DDS's default, after 20 ms by `config/fastdds.xml`.
+is lost. That takes 5 ms by Fast DDS's default, 1 ms by `config/fastdds.xml`, or where the
+acknowledgement is missed until it is asked for: after 3 s, or after 20 ms.
 
 The other side is `matched_subscription`.
 """
