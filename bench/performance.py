@@ -18,9 +18,11 @@ import sys
 
 BENCH = Path(__file__).resolve().parent
 PAGE = BENCH.parent / 'docs' / 'performance.md'
-SCRIPTS = ('calibrate.py', 'filterpy_peer.py', 'frame.py', 'start.py', 'scale.py', 'live.py',
-           'latency.py', 'gyro_reading.py', 'record.py', 'images.py', 'image_peers.py',
-           'identify.py', 'intrinsics_methods.py', 'interstar.py')
+SCRIPTS = ('calibrate.py', 'filterpy_peer.py', 'frame.py', 'start.py', 'long.py 1 6 24',
+           'montecarlo.py', 'scale.py', 'live.py', 'latency.py', 'gyro_reading.py', 'record.py',
+           'folder.py', 'images.py', 'image_peers.py', 'identify.py', 'intrinsics_methods.py',
+           'interstar.py')
+"""With their arguments."""
 HEAD = """# Performance
 
 Written by `python bench/performance.py`, which runs the scripts of `bench/` one after the other;
@@ -40,16 +42,17 @@ def processor() -> str:
 
 def section(script: str) -> str:
     """Return what a script says of itself, and what it prints."""
-    about = ast.get_docstring(ast.parse((BENCH / script).read_text())) or ''
+    name, *arguments = script.split()
+    about = ast.get_docstring(ast.parse((BENCH / name).read_text())) or ''
     title, _, rest = about.partition('\n\n')
     print(script, file=sys.stderr, flush=True)
-    done = subprocess.run([sys.executable, str(BENCH / script)], capture_output=True, text=True,
-                          env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'})
+    done = subprocess.run([sys.executable, str(BENCH / name), *arguments], capture_output=True,
+                          text=True, env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'})
     # A script that misses what it aims at ends with 1; one that breaks has said nothing.
     last = '' if done.stdout else (done.stderr.strip().splitlines() or ['nothing said'])[-1]
     printed = done.stdout.rstrip() or f'ended with status {done.returncode}: {last}'
-    name = title.partition(':')[0].rstrip('.')
-    return f'## {name}\n\n`bench/{script}`\n\n{rest.strip()}\n\n```text\n{printed}\n```\n'
+    heading = title.partition(':')[0].rstrip('.')
+    return f'## {heading}\n\n`bench/{script}`\n\n{rest.strip()}\n\n```text\n{printed}\n```\n'
 
 
 def main() -> None:
