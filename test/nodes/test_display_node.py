@@ -26,6 +26,7 @@ SCENARIO = TAN2018.replace({
     'simulation.wait_for_subscribers': 1, 'simulation.wait_for_simulators': 1})
 
 
+@pytest.mark.slow
 def test_it_draws_each_frame_and_gives_the_numbers_of_the_estimator(start, peer, tmp_path):
     markers_type = message_type(topics.MARKERS.type_name)
     if markers_type is None:

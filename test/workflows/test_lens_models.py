@@ -92,6 +92,7 @@ def test_each_lens_finds_itself(tmp_path, name, capsys):
     assert capsys.readouterr().out.count('Verdict: consistent') == 1
 
 
+@pytest.mark.slow
 def test_an_all_sky_lens_is_no_pinhole_and_the_one_that_fits_is_named(tmp_path, capsys):
     """One image of the whole sky."""
     path = write(tmp_path / 's.csv', 'kannala_brandt', 1, faintest=5.0)
@@ -128,6 +129,7 @@ def test_where_no_lens_fits_it_is_said(tmp_path, capsys):
             in capsys.readouterr().out.replace('\n', ' '))
 
 
+@pytest.mark.slow
 def test_a_lens_that_lacks_little_is_not_the_last_one(tmp_path, capsys):
     """A fisheye without decentring predicts a decentred pinhole of 15 deg by a tenth as well."""
     pytest.importorskip('tetra3rs')

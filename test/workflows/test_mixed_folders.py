@@ -49,6 +49,7 @@ def test_sizes_and_focal_lengths_are_cameras_of_their_own(tmp_path, capsys):
     assert 'film.mp4 left out: is a film: write its frames as images' in said.err
 
 
+@pytest.mark.slow
 def test_images_that_were_turned_upright_are_found(tmp_path):
     """The field that is stated is that of the others."""
     images, eye = tmp_path / 'sky', Camera()

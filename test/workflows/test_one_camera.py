@@ -127,6 +127,7 @@ def test_too_few_images_tell_no_scatter(tmp_path):
     assert found['sigma_between_images'] is None and len(found['each_image']) == 3
 
 
+@pytest.mark.slow
 def test_a_phone_whose_lens_moves(tmp_path):
     if not PHONE.is_dir():
         pytest.skip(f'{PHONE} is not there')
