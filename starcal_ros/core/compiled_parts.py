@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What compiled arithmetic is made of: small matrices, and the camera of one star. Needs numba.
+"""What compiled arithmetic is made of: small matrices, turns, the camera of one star. Needs numba.
 
 Sums run in a fixed order and are not contracted: the bits do not depend on the machine. What calls
 these is compiled with them.
@@ -167,6 +167,60 @@ def diagonalized(A: Array, V: Array) -> None:
                 A[k, j] = A[j, k] = b
             V[k, i], V[k, j] = c * V[k, i] - s * V[k, j], s * V[k, i] + c * V[k, j]
 
+
+# Rotations, as in `core.rotation`
+
+@jit
+def product(A: Array, B: Array, out: Array) -> None:
+    """Write A B to out, all (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+
+
+@jit
+def product_by_transposed(A: Array, B: Array, out: Array) -> None:
+    """Write A B' to out, all (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
+
+
+@jit
+def transposed_product(A: Array, B: Array, out: Array) -> None:
+    """Write A' B to out, all (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[0, i] * B[0, j] + A[1, i] * B[1, j] + A[2, i] * B[2, j]
+
+
+@jit
+def exp(a: float, b: float, c: float, out: Array) -> None:
+    """As `core.rotation.exp`, of one rotation vector."""
+    half = 0.5 * np.sqrt(a * a + b * b + c * c)
+    factor = 0.5 if half < 1e-8 else 0.5 * np.sin(half) / half
+    x, y, z, w = a * factor, b * factor, c * factor, np.cos(half)
+    x2, y2, z2 = x + x, y + y, z + z
+    xx, yy, zz = x * x2, y * y2, z * z2
+    xy, xz, yz = x * y2, x * z2, y * z2
+    wx, wy, wz = w * x2, w * y2, w * z2
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - (yy + zz), xy - wz, xz + wy
+    out[1, 0], out[1, 1], out[1, 2] = xy + wz, 1.0 - (xx + zz), yz - wx
+    out[2, 0], out[2, 1], out[2, 2] = xz - wy, yz + wx, 1.0 - (xx + yy)
+
+
+@jit
+def orthonormalized(C: Array, out: Array) -> None:
+    """As `core.rotation.orthonormalized`, of one matrix."""
+    square, cube = np.empty((3, 3)), np.empty((3, 3))
+    product_by_transposed(C, C, square)
+    product(square, C, cube)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = 1.5 * C[i, j] - 0.5 * cube[i, j]
+
+
+# The camera
 
 @jit
 def projected(x0: float, y0: float, z0: float, camera: Array, pitch_mm: float, uv: Array,

@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The arithmetic of a frame: compiled where numba is installed, else that of `reference`.
+"""The arithmetic of frames and between them: compiled where numba is installed, else by numpy.
 
 The first import compiles, `python -m starcal_ros.filter.arithmetic` at installation. Its functions
 take one leading axis, the runs; `LeadingAxes` leads there and back.
@@ -17,11 +17,13 @@ from starcal_ros.core.compiled import say_uncompiled
 
 try:
     from starcal_ros.filter.kernel import (COMPILED, advance, bends, carry, compose, correct,
-                                           fit, integrate, judge, propagate, spread, tally)
+                                           fit, judge, propagate, tally)
+    from starcal_ros.filter.track_kernel import integrate, spread
 except Exception as error:
     say_uncompiled('the filter', error)
     from starcal_ros.filter.reference import (COMPILED, advance, bends, carry, compose, correct,
-                                              fit, integrate, judge, propagate, spread, tally)
+                                              fit, judge, propagate, tally)
+    from starcal_ros.filter.track_reference import integrate, spread
 
 __all__ = ['COMPILED', 'LeadingAxes', 'advance', 'bends', 'carry', 'compose', 'correct', 'fit',
            'integrate', 'judge', 'propagate', 'spread', 'tally']

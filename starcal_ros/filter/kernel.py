@@ -20,9 +20,11 @@ import numpy as np
 
 from starcal_ros.core.arrays import Array, Ints, Mask
 from starcal_ros.core.compiled import ready
-from starcal_ros.core.compiled_parts import (diagonalized, dot, factored, jit as _jit, multiplied,
-                                             projected, solved, triangularized)
-from starcal_ros.core.units import NS
+from starcal_ros.core.compiled_parts import (
+    diagonalized, dot, exp as _exp, factored, jit as _jit, multiplied,
+    orthonormalized as _orthonormalized, product as _product,
+    product_by_transposed as _product_by_transposed, projected, solved,
+    transposed_product as _transposed_product, triangularized)
 from starcal_ros.filter import compiled_tests, stretch
 from starcal_ros.filter.changes import AWAITED, BEGUN
 from starcal_ros.filter.curvature import BETWEEN, MATTERS, REPEATS
@@ -35,9 +37,6 @@ from starcal_ros.filter.hypotheses import (CELL, DRIFTS, KM_S, LENS_TERMS, MAGNI
 from starcal_ros.filter.reference import Carried, Corrected, TurnFound
 from starcal_ros.filter.responses import TOLD, UNTOLD, WIDTH, Fit
 from starcal_ros.filter.states import LENS, SCALE
-from starcal_ros.filter.track_reference import Attained
-from starcal_ros.measurements.preintegration import GAP
-from starcal_ros.measurements.samples import GyroSamples
 
 COMPILED = True
 
@@ -63,53 +62,6 @@ _N_DENSE = len(_DENSE)
 _OWN = _PLACE - _PLACE % WIDTH
 _FIRST, _SECOND = (part.copy() for part in np.nonzero(np.tril(
     _OWN[:_N_DENSE, None] == _OWN[:_N_DENSE])))
-
-
-# Rotations, as in `core.rotation`
-
-@_jit
-def _product(A: Array, B: Array, out: Array) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
-
-
-@_jit
-def _product_by_transposed(A: Array, B: Array, out: Array) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
-
-
-@_jit
-def _transposed_product(A: Array, B: Array, out: Array) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = A[0, i] * B[0, j] + A[1, i] * B[1, j] + A[2, i] * B[2, j]
-
-
-@_jit
-def _exp(a: float, b: float, c: float, out: Array) -> None:
-    half = 0.5 * np.sqrt(a * a + b * b + c * c)
-    factor = 0.5 if half < 1e-8 else 0.5 * np.sin(half) / half
-    x, y, z, w = a * factor, b * factor, c * factor, np.cos(half)
-    x2, y2, z2 = x + x, y + y, z + z
-    xx, yy, zz = x * x2, y * y2, z * z2
-    xy, xz, yz = x * y2, x * z2, y * z2
-    wx, wy, wz = w * x2, w * y2, w * z2
-    out[0, 0], out[0, 1], out[0, 2] = 1.0 - (yy + zz), xy - wz, xz + wy
-    out[1, 0], out[1, 1], out[1, 2] = xy + wz, 1.0 - (xx + zz), yz - wx
-    out[2, 0], out[2, 1], out[2, 2] = xz - wy, yz + wx, 1.0 - (xx + yy)
-
-
-@_jit
-def _orthonormalized(C: Array, out: Array) -> None:
-    square, cube = np.empty((3, 3)), np.empty((3, 3))
-    _product_by_transposed(C, C, square)
-    _product(square, C, cube)
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = 1.5 * C[i, j] - 0.5 * cube[i, j]
 
 
 # The interval
@@ -247,82 +199,6 @@ def propagate(C_gi: Array, C_sg: Array, error: Array, root: Array, Delta: Array,
 
 _UNSEEN = _LENS - 3             # states that move no centroid: between the turns and the lens
 
-
-# The attitude between frames
-
-@_jit('void(i8[::1], f8[:,::1], i8, i8, i8, i8, f8, f8[:,::1], f8[::1], f8, f8[::1], f8[:,::1], '
-      'f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1])')
-def _integrate(stamp_ns, reading, first, last, at_ns, period_ns, gap_ns, C_gi, turn, gap_turn,
-               bias, gain, attitudes, rates, turns, gap_turns):
-    C, step, product = C_gi.copy(), np.empty((3, 3)), np.empty((3, 3))
-    total, theta, omega = turn.copy(), np.empty(3), np.empty(3)
-    for k in range(min(first, np.searchsorted(stamp_ns, at_ns, side='right')), last):
-        begins_ns = before_ns = stamp_ns[k] - period_ns
-        if k > 0:
-            before_ns = stamp_ns[k - 1]
-            if stamp_ns[k] - before_ns <= gap_ns:
-                begins_ns = before_ns
-        # A silence that is bridged, and what the reading covers.
-        for end_ns, silent in ((begins_ns, True), (stamp_ns[k], False)):
-            for i in range(3):
-                omega[i] = reading[k, i] - bias[i]
-                if silent and k > 0:
-                    omega[i] = 0.5 * (reading[k - 1, i] + reading[k, i]) - bias[i]
-            if end_ns <= at_ns:
-                continue
-            if silent:
-                gap_turn += 0.5 * abs(((end_ns - before_ns) * NS)**2
-                                      - ((at_ns - before_ns) * NS)**2)
-            for i in range(3):
-                theta[i] = (gain[i, 0] * omega[0] + gain[i, 1] * omega[1]
-                            + gain[i, 2] * omega[2]) * ((end_ns - at_ns) * NS)
-                total[i] += theta[i]
-            _exp(-theta[0], -theta[1], -theta[2], step)
-            _product(step, C, product)
-            C[:] = product
-            at_ns = end_ns
-        if k >= first:
-            attitudes[k - first], turns[k - first], gap_turns[k - first] = C, total, gap_turn
-            for i in range(3):
-                rates[k - first, i] = (gain[i, 0] * omega[0] + gain[i, 1] * omega[1]
-                                       + gain[i, 2] * omega[2])
-
-
-def integrate(gyro: GyroSamples, first: int, last: int, start: Attained, bias: Array, gain: Array,
-              period_ns: float) -> Attained:
-    """Do as `track_reference.integrate`."""
-    n = last - first
-    out = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
-    _integrate(ready(gyro.stamp_ns), ready(gyro.rate), first, last, start.stamp_ns[0],
-               int(period_ns), GAP * period_ns, ready(start.C_gi[0]), start.turn[0],
-               start.gap_turn[0], ready(bias), ready(gain), *out)
-    return Attained(gyro.stamp_ns[first:last], *out)
-
-
-@_jit('void(f8[:,::1], f8[:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[:,:,::1])')
-def _spread(root, drift, bent, elapsed, variance, out):
-    grown = np.empty_like(root)
-    columns = root.shape[1]
-    for k in range(len(elapsed)):
-        for i in range(3):
-            for j in range(columns):
-                grown[i, j] = root[i, j] + elapsed[k] * drift[i, j] + bent[k, i, j]
-        for i in range(3):
-            for m in range(i + 1):
-                value = variance[k] if i == m else 0.0
-                for j in range(columns):
-                    value += grown[i, j] * grown[m, j]
-                out[k, i, m] = out[k, m, i] = value
-
-
-def spread(root: Array, drift: Array, bent: Array, elapsed: Array, variance: Array) -> Array:
-    """Do as `track_reference.spread`."""
-    out = np.empty((len(elapsed), 3, 3))
-    _spread(*map(ready, (root, drift, bent, elapsed, variance)), out)
-    return out
-
-
-# The frame
 
 @_jit
 def _seen_state(j: int) -> int:

@@ -19,11 +19,10 @@ from starcal_ros.filter.frame_innovation import BLIND, SPREAD, cell_of, tally
 from starcal_ros.filter.responses import fitted as fit
 from starcal_ros.filter.states import EPSILON, LENS, PSI, SCALE, THETA
 from starcal_ros.filter.stretch import Constants, Gained, Intervals, StretchStars, TestSums, Values
-from starcal_ros.filter.track_reference import integrate, spread
 from starcal_ros.measurements.preintegration import composed as compose
 
-__all__ = ['COMPILED', 'advance', 'bends', 'carry', 'compose', 'correct', 'fit', 'integrate',
-           'judge', 'propagate', 'spread', 'tally']
+__all__ = ['COMPILED', 'advance', 'bends', 'carry', 'compose', 'correct', 'fit', 'judge',
+           'propagate', 'tally']
 
 COMPILED = False
 

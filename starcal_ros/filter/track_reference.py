@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The arithmetic of the attitude between frames in numpy: what `kernel` has to give."""
+"""The arithmetic of the attitude between frames in numpy: what `track_kernel` has to give."""
 
 from __future__ import annotations
 

@@ -20,14 +20,12 @@ from starcal_ros.filter.calibrator import Calibrator
 from starcal_ros.filter.error_state import Filter
 from starcal_ros.filter.frame_innovation import SUMS, FrameInnovation
 from starcal_ros.filter.states import SCALE
-from starcal_ros.filter.track_reference import Attained
-from starcal_ros.measurements.samples import GyroSamples
 from starcal_ros.simulation import sensors
 
 RUNS, STARS = 5, 9
 CURVATURE = Filter(TAN2018).model.curvature
-FUNCTIONS = ('advance', 'bends', 'carry', 'compose', 'correct', 'fit', 'integrate', 'judge',
-             'propagate', 'spread', 'tally')
+FUNCTIONS = ('advance', 'bends', 'carry', 'compose', 'correct', 'fit', 'judge', 'propagate',
+             'tally')
 OPTIONAL = {'estimator.augment.time_offset_sigma_s': 0.005,
             'estimator.augment.gyro_matrix_sigma_ppm': 500.0}
 
@@ -136,44 +134,6 @@ def test_the_tests_of_the_model_are_those_of_the_reference(m):
     for left, right in zip(parts[0][:3], parts[1][:3]):
         np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-9 * np.abs(right).max())
     same(parts[0][-1], parts[1][-1])
-
-
-@pytest.mark.parametrize('first', [0, 2, 5, 11])
-@pytest.mark.parametrize('since', [2, -3])
-def test_what_is_attained_between_frames_is_that_of_the_reference(first, since):
-    """With silences, with readings that were given before, and from the first reading on."""
-    rng = np.random.default_rng(first)
-    steps = rng.choice([9_900_000, 10_000_000, 15_000_000, 15_000_001, 70_000_000], 30)
-    stamps = 10**18 + np.cumsum(steps)
-    gyro = GyroSamples(stamps, 0.3 * rng.normal(size=(30, 3)))
-    begins_ns = stamps[since] + 10**6 if since > 0 else stamps[0] - 2 * 10**7
-    start = Attained(np.array([min(begins_ns, stamps[first])]),
-                     rotation.exp(rng.normal(size=(1, 3))), np.zeros((1, 3)),
-                     rng.normal(size=(1, 3)), np.array([0.3]))
-    for last in (first + 1, 30):
-        given = (gyro, first, last, start, 1e-3 * rng.normal(size=3),
-                 np.eye(3) + 1e-3 * rng.normal(size=(3, 3)), 1e7)
-        same(kernel.integrate(*given), reference.integrate(*given))
-
-
-def test_attitudes_are_attained_in_whatever_steps():
-    rng = np.random.default_rng(1)
-    gyro = GyroSamples(10**18 + 10**7 * np.arange(30), 0.3 * rng.normal(size=(30, 3)))
-    start = Attained(gyro.stamp_ns[:1], np.eye(3)[None], *(np.zeros((1, 3)),) * 2, np.zeros(1))
-    whole, parts, at = kernel.integrate(gyro, 0, 30, start, np.zeros(3), np.eye(3), 1e7), [], start
-    for low, high in ((0, 1), (1, 12), (12, 30)):
-        parts.append(kernel.integrate(gyro, low, high, at, np.zeros(3), np.eye(3), 1e7))
-        at = parts[-1].last
-    for left, right in zip(whole, map(np.concatenate, zip(*parts))):
-        np.testing.assert_array_equal(left, right)
-
-
-@pytest.mark.parametrize('m', [0, 3])
-def test_the_spread_between_frames_is_that_of_the_reference(m):
-    rng, *_, root, _ = some(m)
-    given = (root[0, :3], 0.1 * root[1, :3], 0.1 * rng.normal(size=(7, 3, 16 + m)),
-             rng.random(7), rng.random(7))
-    np.testing.assert_allclose(kernel.spread(*given), reference.spread(*given), rtol=1e-12)
 
 
 def test_sizes_that_fit_are_those_of_the_reference():
