@@ -58,7 +58,9 @@ _ADVICE = {
     residual_tests.LENS: 'the lens has terms that the model lacks',
     residual_tests.CELLS: 'stars are displaced in parts of the detector: look at the residual map',
     residual_tests.PHASE: 'the centroids depend on where in a pixel a star falls',
-    residual_tests.TIME: 'the camera changes from frame to frame: focus, stabiliser, temperature',
+    residual_tests.TIME: 'the camera changes from frame to frame: focus, stabiliser, temperature, '
+                         'or an aberration of the stars that is left out (--aberration; '
+                         'observer.velocity)',
     residual_tests.IMAGES: 'the images are not of one camera, each has a focal length of its own '
                            'or another principal point: autofocus, stabiliser, zoom',
     residual_tests.AIR: 'the air is not that of the time and the site that were stated: '

@@ -129,6 +129,18 @@ def test_a_folder_in_two_calls_is_the_camera_of_the_command(folder, tmp_path):
         out.read_text())
 
 
+def test_an_aberration_that_is_left_out_is_named(tmp_path, capsys):
+    eye, images = Camera(Observer('geocentre')), tmp_path / 'images'
+    images.mkdir()
+    for k in range(6):
+        save(images / f'{k}.fits', eye.towards(), EPOCH)
+    words = ['intrinsics', str(images), '--fov', FOV, '--out', str(tmp_path / 'c.json')]
+    assert main(words) == 4
+    assert '--aberration' in ' '.join(capsys.readouterr().out.split())
+    assert main([*words, '--aberration', '--overwrite']) == 0
+    assert '--aberration' not in capsys.readouterr().out
+
+
 def test_mirrored_images_are_flipped_and_an_odd_one_is_left_out(folder, tmp_path, capsys):
     images, out, page = tmp_path / 'images', tmp_path / 'c.json', tmp_path / 'p.html'
     images.mkdir()
