@@ -12,13 +12,15 @@ rclpy = pytest.importorskip('rclpy')
 
 from rclpy.qos import QoSProfile  # noqa: E402
 from sensor_msgs.msg import Imu, PointCloud2  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
 
 from instruments import TAN2018  # noqa: E402
 from peer import PATIENCE_S  # noqa: E402
 from starcal_ros.config import parameter_file  # noqa: E402
 from starcal_ros.core.utc import unix_ns  # noqa: E402
-from starcal_ros.nodes.base.convoy import LEAD_S  # noqa: E402
+from starcal_ros.nodes.base.convoy import LEAD_S, Convoy  # noqa: E402
 from starcal_ros.nodes.base.pacing import Feed, SimulatedClock  # noqa: E402
+from starcal_ros.nodes.base.qos import LATCHED  # noqa: E402
 
 SCENARIO = TAN2018.replace({'simulation.real_time_factor': 0.0,
                             'simulation.wait_for_subscribers': 1,
@@ -147,6 +149,18 @@ def test_who_looks_at_a_feed_needs_no_timer(peer):
     clock.begin()
     assert feed.rests_s == 0.0
     assert (feed.look_again(), published, feed.finished) == (2, ['a', 'b'], True)
+
+
+def test_who_is_over_says_so_once(peer):
+    """Two that waited for their subscribers told each other thousands of times."""
+    heard = peer.listen(Header, 'simulation/progress', QoSProfile(
+        depth=100, durability=LATCHED.durability))
+    convoy = Convoy(peer.node, 0)
+    for stamp_ns in (10**9, None, None, None):
+        convoy.tell(stamp_ns)
+    peer.until(lambda: any(header.stamp.sec > 1 for header in heard))
+    passes(peer, 0.2)
+    assert sum(header.stamp.sec > 1 for header in heard) == 1
 
 
 def test_a_recorder_of_another_kind_does_not_stand_in_for_the_node_that_is_waited_for(

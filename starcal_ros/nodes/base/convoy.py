@@ -83,9 +83,11 @@ class Convoy:
         return min(self._heard_ns.values(), default=UNLIMITED_NS - _LEAD_NS) + _LEAD_NS
 
     def tell(self, stamp_ns: int | None) -> None:
-        """Tell that all before a stamp is published; None: that all of the run is."""
+        """Tell that all before a stamp is published; None: that all of the run is, once."""
         if stamp_ns is None:
-            self._publisher.publish(Header(stamp=_OVER, frame_id=self._name))
+            if self._told_ns != UNLIMITED_NS:
+                self._told_ns = UNLIMITED_NS
+                self._publisher.publish(Header(stamp=_OVER, frame_id=self._name))
         elif stamp_ns >= self._told_ns + _STEP_NS:
             self._told_ns = stamp_ns
             sec, nanosec = divmod(stamp_ns, 10**9)
