@@ -48,7 +48,7 @@ FEATURES = {
     'rerun': ['rerun-sdk>=0.41'],
     # Reports as PDF: --report report.pdf.
     'pdf': ['weasyprint>=60'],
-    # Monte Carlo on a cluster: starcal montecarlo --dask.
+    # Studies and many recordings on a cluster: --dask.
     'dask': ['dask', 'distributed'],
 }
 """Extras, each for what a part of the commands can do."""

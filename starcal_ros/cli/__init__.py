@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from contextlib import suppress
 import difflib
 from importlib import import_module
 import os
@@ -59,7 +58,8 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         status, text = 130, 'interrupted'
     except Exception as error:
-        status, text = _told(error)
+        from starcal_ros.cli.terminal import told
+        status, text = told(error)
     from starcal_ros.cli.terminal import say
     say(f'{options.parser.prog}: error: {text}')
     return status
@@ -98,22 +98,3 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         options.parser.error(f'unrecognized arguments: {" ".join(unknown)}')
     options.line = shlex.join(('starcal', *words))
     return options
-
-
-def _told(error: Exception) -> tuple[int, str]:
-    """Return the exit status and the text of an error; raise it again where it is a defect."""
-    from starcal_ros.cli.terminal import OUTPUT
-    from starcal_ros.config.parameter import ConfigError
-    from starcal_ros.messages.cdr import RecordError
-    from starcal_ros.workflows.node_program import NodeError
-    if isinstance(error, (ConfigError, RecordError, FileNotFoundError)):
-        return 2, str(error)
-    if isinstance(error, (ValueError, NodeError)):
-        return 1, str(error)
-    if isinstance(error, OSError):
-        if error.filename == OUTPUT:    # nothing goes there at the end of the process, too
-            with suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        place = f'{error.filename}: ' if error.filename else ''
-        return 1, f'{place}{error.strerror or error}'
-    raise error

@@ -9,9 +9,11 @@ and one of them is printed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 import json
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 from starcal_ros.files.foreign import literal
@@ -89,3 +91,21 @@ def say(text: str) -> None:
     """Print a message for the user on standard error."""
     from rich.console import Console
     Console(stderr=True, highlight=False, soft_wrap=True).print(literal(text))
+
+
+def told(error: Exception) -> tuple[int, str]:
+    """Return the exit status and the text of an error; raise it again where it is a defect."""
+    from starcal_ros.config.parameter import ConfigError
+    from starcal_ros.messages.cdr import RecordError
+    from starcal_ros.workflows.node_program import NodeError
+    if isinstance(error, (ConfigError, RecordError, FileNotFoundError)):
+        return 2, str(error)
+    if isinstance(error, (ValueError, NodeError)):
+        return 1, str(error)
+    if isinstance(error, OSError):
+        if error.filename == OUTPUT:    # nothing goes there at the end of the process, too
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        place = f'{error.filename}: ' if error.filename else ''
+        return 1, f'{place}{error.strerror or error}'
+    raise error

@@ -8,12 +8,13 @@ import os
 import shutil
 import signal
 
-import joblib
 import numpy as np
 import pytest
 
 from instruments import CONFIG, TAN2018
+import starcal_ros
 from starcal_ros import cli
+from starcal_ros.cli import cluster
 from starcal_ros.config import parameter_file
 from starcal_ros.config.parameter import ConfigError
 from starcal_ros.evaluation import montecarlo, tasks
@@ -160,10 +161,9 @@ def test_wrong_sweep_is_named(sweep, culprit, capsys):
 def test_same_study_on_a_dask_cluster_gives_the_same_numbers(results, tmp_path):
     distributed = pytest.importorskip('distributed')
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
-                                  host='127.0.0.1') as cluster:
-        with distributed.Client(cluster):
-            with joblib.parallel_config(backend='dask'):
-                spread = montecarlo.run(STUDY, tmp_path / 'parts')
+                                  host='127.0.0.1') as there:
+        with cluster.spread(there.scheduler_address):
+            spread = montecarlo.run(STUDY, tmp_path / 'parts')
     for runs, expected in zip(spread, results):
         assert_same(runs, expected)
 
@@ -210,6 +210,36 @@ def test_the_loss_of_a_worker_is_said_and_its_work_done_again(tmp_path, capsys):
 def test_workers_that_are_always_lost_end_the_study(tmp_path):
     with pytest.raises(ConfigError, match='3 times before a task was done'):
         tasks.complete([tmp_path / 'a.npz'], kills_itself, [(1, None)])
+
+
+@pytest.mark.slow
+def test_the_loss_of_a_worker_of_a_cluster_is_survived_and_that_of_all_is_named(tmp_path):
+    distributed = pytest.importorskip('distributed')
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
+                                  host='127.0.0.1') as there:
+        with cluster.spread(there.scheduler_address):
+            found = dict(tasks.each(kills_itself, [(k, tmp_path / 'once') for k in range(4)]))
+        assert {k: int(each['value']) for k, each in found.items()} == {k: k for k in range(4)}
+        with pytest.raises(ConfigError, match='the Dask cluster: .* 4 different workers'):
+            with cluster.spread(there.scheduler_address):
+                dict(tasks.each(kills_itself, [(1, None)]))
+
+
+@pytest.mark.slow
+def test_a_cluster_without_workers_or_with_others_is_refused(monkeypatch, capsys):
+    distributed = pytest.importorskip('distributed')
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None,
+                                  host='127.0.0.1') as there:
+        address = there.scheduler_address
+        with monkeypatch.context() as here:
+            here.setattr('starcal_ros.__version__', '9.9.9')
+            assert cli.main(['montecarlo', '--runs', '1', '--dask', address]) == 2
+        assert f'have starcal_ros {starcal_ros.__version__}, here is 9.9.9' in (
+            capsys.readouterr().err)
+    with distributed.LocalCluster(n_workers=0, dashboard_address=None, host='127.0.0.1') as there:
+        monkeypatch.setattr(cluster, '_PATIENCE_S', 0.5)
+        assert cli.main(['montecarlo', '--runs', '1', '--dask', there.scheduler_address]) == 2
+        assert f'{there.scheduler_address} has no worker' in capsys.readouterr().err
 
 
 def kills_itself(value, once):

@@ -4,13 +4,16 @@
 
 import json
 
+import joblib
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from instruments import TAN2018
-from starcal_ros.cli import main
+from starcal_ros.cli import bootstrap as command, main
 from starcal_ros.config import parameter_file
+from starcal_ros.config.parameter import ConfigError
+from starcal_ros.evaluation import tasks
 from starcal_ros.measurements.samples import Frames, GyroSamples
 from starcal_ros.results.document import CalibrationError
 from starcal_ros.simulation import sensors
@@ -83,3 +86,101 @@ def test_command_shows_the_camera_after_each_step(tmp_path, capsys):
     assert abs(result['intrinsics']['f_mm'] - TRUTH.intrinsics[2]) < 1e-3
     said = capsys.readouterr().out
     assert 'error ± sigma after each step' in said and 'spots identified' in said
+
+
+@pytest.fixture(scope='module')
+def three(tmp_path_factory):
+    """Return two recordings of one name and one that ends after a few frames."""
+    folder = tmp_path_factory.mktemp('three')
+    bags = []
+    for name, duration_s, seed in (('a/run', 240.0, 1), ('b/run', 240.0, 2), ('short', 4.0, 3)):
+        bags.append(folder / f'{name}.mcap')
+        bags[-1].parent.mkdir(exist_ok=True)
+        simulate(SCENARIO.replace({'simulation.duration_s': duration_s, 'simulation.seed': seed}),
+                 bags[-1])
+    return [str(bag) for bag in bags]
+
+
+@pytest.fixture(scope='module')
+def alone(three, tmp_path_factory):
+    """Return what comes of the first of them by itself."""
+    out = tmp_path_factory.mktemp('alone') / 'result.json'
+    assert main(['bootstrap', three[0], '--out', str(out)]) == 3
+    return json.loads(out.read_text())
+
+
+@pytest.mark.slow
+def test_several_recordings_have_each_its_own_result(three, alone, tmp_path, capsys):
+    out = tmp_path / 'results'
+    assert main(['bootstrap', *three, '--out', str(out), '--json']) == 1
+    assert sorted(path.name for path in out.iterdir()) == ['a_run.json', 'b_run.json']
+    first, second, short = json.loads(capsys.readouterr().out)
+    assert [each['recording'] for each in (first, second, short)] == three
+    assert short == {'recording': three[2], 'error': short['error']}
+    assert 'self-calibration: no camera from 2 frames' in short['error']
+    assert json.loads((out / 'a_run.json').read_text()) == alone
+    assert first == {'recording': three[0], **alone}
+    assert second['intrinsics'] != alone['intrinsics']
+
+
+@pytest.mark.slow
+def test_recordings_on_a_cluster_give_the_same(three, alone, tmp_path, capsys):
+    distributed = pytest.importorskip('distributed')
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
+                                  host='127.0.0.1') as cluster:
+        address = cluster.scheduler_address
+        assert main(['bootstrap', three[0], three[2], '--out', str(tmp_path),
+                     '--dask', address]) == 1
+        assert main(['bootstrap', three[0], '--out', str(tmp_path / 'one.json'),
+                     '--dask', address]) == 3
+    said = capsys.readouterr()
+    assert f'{three[2]}: error: self-calibration: no camera' in said.err
+    assert f'Bootstrap of {three[0]}' in said.out
+    for name in ('run.json', 'one.json'):
+        assert json.loads((tmp_path / name).read_text()) == alone
+
+
+def test_what_is_done_is_shown_when_workers_are_lost(three, tmp_path, monkeypatch, capsys):
+    found = command._Failed(4, 'as found')
+
+    def lost(task, arguments):
+        yield 1, found
+        raise ConfigError('a worker was lost 3 times')
+    monkeypatch.setattr(tasks, 'each', lost)
+    assert main(['bootstrap', *three, '--out', str(tmp_path)]) == 2
+    lines = capsys.readouterr().err.splitlines()[-3:]
+    assert lines == [f'{bag}: error: {text}' for bag, text in zip(three, (
+        'a worker was lost 3 times', 'as found', 'a worker was lost 3 times'))]
+
+
+def test_the_worst_of_several_is_the_status(three, monkeypatch):
+    errors = [ValueError('no'), OSError('no'), ValueError('no'),
+              ValueError('no'), ConfigError('no'), OSError('no')]
+
+    def fail(*given):
+        raise errors.pop(0)
+    monkeypatch.setattr(command, '_calibrated', fail)
+    with joblib.parallel_config(backend='sequential'):
+        assert [main(['bootstrap', *three]), main(['bootstrap', *three])] == [1, 2]
+
+
+@pytest.mark.parametrize('bags, names', [
+    (['a.mcap', 'b.mcap', 'c'], ['a', 'b', 'c']),
+    (['1/run.mcap', '2/run.mcap'], ['1_run', '2_run']),
+    (['x/1/run.mcap', 'x/run.mcap', 'x/other'], ['1_run', 'run', 'other'])])
+def test_files_are_called_as_the_recordings(tmp_path, bags, names):
+    folder = tmp_path / 'new'
+    assert command._files(bags, folder) == [folder / f'{name}.json' for name in names]
+    assert folder.is_dir()
+
+
+def test_a_recording_that_is_given_twice_is_refused(three, tmp_path, capsys):
+    assert main(['bootstrap', three[0], three[0], '--out', str(tmp_path)]) == 2
+    assert 'run.json: is to be written twice' in capsys.readouterr().err
+    assert main(['bootstrap', three[0], 'absent.mcap', '--out', str(tmp_path)]) == 2
+    assert 'absent.mcap' in capsys.readouterr().err
+    kept = tmp_path / 'kept'
+    kept.write_text('precious')
+    assert main(['bootstrap', *three, '--out', str(kept)]) == 2
+    assert 'kept: cannot be made' in capsys.readouterr().err
+    assert kept.read_text() == 'precious' and not list(tmp_path.glob('*.json'))
