@@ -80,17 +80,19 @@ def run(options: argparse.Namespace) -> int:
     outputs.claim(files, [*options.bags, options.config], options.overwrite)
     found: list[_Found | _Failed] = [_Failed(1, '')] * len(given)
     with cluster.spread(options.dask):
-        for k, found[k] in (_spread(given) if several or options.dask else
-                            enumerate([_calibrated(*given[0], progress)])):
-            path, each = files[k], found[k]
+        for k, each in (_spread(given) if several or options.dask else
+                        enumerate([_calibrated(*given[0], progress)])):
+            found[k], path = each, files[k]
             if path is not None and isinstance(each, _Found):
                 document.write_json(path, each.result)
     for bag, each in zip(options.bags, found):
         _show(bag, each, f'{bag}: ' if several else '')
-    results = [each.result if isinstance(each, _Found) else {'error': each.error}
-               for each in found]
-    show_json([{'recording': bag, **each} for bag, each in zip(options.bags, results)]
-              if several else results[0])
+    if several:
+        show_json([{'recording': bag, **(
+            each.result if isinstance(each, _Found) else {'error': each.error})}
+            for bag, each in zip(options.bags, found)])
+    elif isinstance(found[0], _Found):
+        show_json(found[0].result)
     return max((STATUS[each.result['verdict']] if isinstance(each, _Found) else each.status
                 for each in found), key=_WORSE.index)
 
@@ -167,14 +169,14 @@ def _calibrated(
 
 
 def _show(bag: str, found: _Found | _Failed, prefix: str) -> None:
-    """Show what came of a recording; messages begin with a prefix."""
+    """Show what came of a recording; messages name it by a prefix."""
     from starcal_ros import report
     from starcal_ros.core import verdict_words
     if isinstance(found, _Failed):
-        say(f'{prefix}error: {found.error}')
+        say(f'starcal bootstrap: error: {prefix}{found.error}')
         return
     for text in found.notices:
-        say(f'{prefix}warning: {text}')
+        say(f'warning: {prefix}{text}')
     outcome = found.result
     show(report.chain(outcome['steps'], found.truth, f'Bootstrap of {bag}'))
     show(f'{found.identified}. {report.summary(outcome)}')

@@ -134,7 +134,7 @@ def test_recordings_on_a_cluster_give_the_same(three, alone, tmp_path, capsys):
         assert main(['bootstrap', three[0], '--out', str(tmp_path / 'one.json'),
                      '--dask', address]) == 3
     said = capsys.readouterr()
-    assert f'{three[2]}: error: self-calibration: no camera' in said.err
+    assert f'starcal bootstrap: error: {three[2]}: self-calibration: no camera' in said.err
     assert f'Bootstrap of {three[0]}' in said.out
     for name in ('run.json', 'one.json'):
         assert json.loads((tmp_path / name).read_text()) == alone
@@ -149,7 +149,7 @@ def test_what_is_done_is_shown_when_workers_are_lost(three, tmp_path, monkeypatc
     monkeypatch.setattr(tasks, 'each', lost)
     assert main(['bootstrap', *three, '--out', str(tmp_path)]) == 2
     lines = capsys.readouterr().err.splitlines()[-3:]
-    assert lines == [f'{bag}: error: {text}' for bag, text in zip(three, (
+    assert lines == [f'starcal bootstrap: error: {bag}: {text}' for bag, text in zip(three, (
         'a worker was lost 3 times', 'as found', 'a worker was lost 3 times'))]
 
 
