@@ -19,9 +19,9 @@ import sys
 BENCH = Path(__file__).resolve().parent
 PAGE = BENCH.parent / 'docs' / 'performance.md'
 SCRIPTS = ('calibrate.py', 'filterpy_peer.py', 'frame.py', 'start.py', 'long.py 1 6 24',
-           'montecarlo.py', 'scale.py', 'live.py', 'latency.py', 'gyro_reading.py', 'record.py',
-           'folder.py', 'images.py', 'image_peers.py', 'identify.py', 'intrinsics_methods.py',
-           'interstar.py')
+           'montecarlo.py', 'scale.py', 'cluster.py', 'live.py', 'latency.py', 'gyro_reading.py',
+           'record.py', 'folder.py', 'images.py', 'image_peers.py', 'identify.py',
+           'intrinsics_methods.py', 'interstar.py')
 """With their arguments."""
 HEAD = """# Performance
 

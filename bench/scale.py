@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a Monte Carlo grows with its workers: `python bench/scale.py`.
 
-A campaign of T18's scenario on one core, then on each power of two that there is, by loky, in
-processes of this machine. Beyond that the schedule's arithmetic: the busiest worker makes so many
-runs, batch by batch, which takes as long as one core takes for them, measured; and what the
-workers cost beside their runs is what it is on as many as there are, a difference of two times,
-each the better of two. Then a smaller campaign on a local Dask cluster of one worker and of more.
+A campaign of T18's scenario on one core, then on each power of two that there is. Beyond that
+the schedule's arithmetic: the busiest worker makes so many runs, batch by batch, which takes as
+long as one core takes for them, measured; and what the workers cost beside their runs is what it
+is on as many as there are.
 """
 
 import os
@@ -16,12 +15,9 @@ import sys
 import tempfile
 import time
 
-from distributed import LocalCluster
-
 from starcal_ros.evaluation.montecarlo import batch_size
 
 RUNS, MINUTES, MOST = 1000, 30, 16
-RUNS_BY_DASK = 300
 AIMED_AT = 11.0             # times as fast on so many
 CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 
@@ -41,14 +37,6 @@ def seconds(runs: int, workers: int, *more: str) -> float:
         return time.monotonic() - begin
 
 
-def by_dask(workers: int) -> float:
-    """Return how long a campaign takes on a Dask cluster that waits for it."""
-    with LocalCluster(n_workers=workers, threads_per_worker=1, host='127.0.0.1',
-                      dashboard_address=None) as cluster:
-        return seconds(RUNS_BY_DASK, len(os.sched_getaffinity(0)), '--dask',
-                       cluster.scheduler_address)
-
-
 def longest(workers: int) -> int:
     """Return how many runs the busiest worker makes."""
     size = batch_size(RUNS, workers)
@@ -57,27 +45,20 @@ def longest(workers: int) -> int:
 
 def main() -> int:
     """Measure what can be measured here, and reckon the rest."""
-    here, workers, how = len(os.sched_getaffinity(0)), 1, 'measured'
+    here, workers, took, how = len(os.sched_getaffinity(0)), 1, 0.0, 'measured'
     print(f'{RUNS} runs of {MINUTES} min')
-    alone = took = beside = 0.0
+    alone = beside = 0.0
     while workers <= MOST:
         own = seconds(longest(workers), 1)
-        if workers == 1:
-            alone = took = own
-        elif workers <= here:
-            own = min(own, seconds(longest(workers), 1))
-            took = min(seconds(RUNS, workers) for _ in range(2))
-            beside = took - own
+        if workers <= here:
+            took = own if workers == 1 else seconds(RUNS, workers)
+            alone, beside = alone or took, took - own
         else:
             took, how = own + beside, 'reckoned'
         print(f'{workers:3d} workers {took:7.1f} s  {alone / took:5.1f} times as fast, {how}; '
               f'{longest(workers)} runs on one core {own:.1f} s')
         workers *= 2
     print(f'{alone / took:.1f} times as fast on {MOST}, {AIMED_AT:.0f} aimed at')
-    one = by_dask(1)
-    for workers in range(2, here + 1):
-        print(f'{RUNS_BY_DASK} runs by Dask: {workers} workers {one / by_dask(workers):.1f} times '
-              f'as fast as one, which takes {one:.1f} s')
     return 0 if alone / took >= AIMED_AT else 1
 
 
