@@ -66,10 +66,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    try:
-        import starcal_ros.workflows.bootstrap                                      # noqa: F401
-    except ImportError as error:
-        raise ConfigError(str(error)) from None
     from starcal_ros.results import document
     several = len(options.bags) > 1
     given = [(bag, arguments.scenario_of(bag, options, _NODES), options.images,
@@ -146,17 +142,20 @@ def _calibrated(
         shown: Callable[[str], AbstractContextManager[Callable[[float], None]]]) -> _Found:
     from starcal_ros.filter import verdict
     from starcal_ros.recording import reader
-    from starcal_ros.recording.measured_images import ImageMeter, as_measured
     from starcal_ros.results import result
     from starcal_ros.results.attached_truth import attached_truth
-    from starcal_ros.workflows.bootstrap import bootstrap
-    with shown('reading') as on_progress:
-        recording = reader.read(bag, on_progress, measure=ImageMeter(scenario),
-                                images_first=images_first, choice=choice)
-    if recording.measured:
-        scenario = as_measured(scenario)
-    with shown('bootstrap') as on_progress:
-        chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
+    try:
+        from starcal_ros.recording.measured_images import ImageMeter, as_measured
+        from starcal_ros.workflows.bootstrap import bootstrap
+        with shown('reading') as on_progress:
+            recording = reader.read(bag, on_progress, measure=ImageMeter(scenario),
+                                    images_first=images_first, choice=choice)
+        if recording.measured:
+            scenario = as_measured(scenario)
+        with shown('bootstrap') as on_progress:
+            chain = bootstrap(recording.gyro, recording.frames, scenario, on_progress)
+    except ImportError as error:            # of the extra, here or at a worker
+        raise ConfigError(str(error)) from None
     outcome = result.result(chain.calibrator, result.provenance(scenario, recording),
                             chain.progress)
     outcome['steps'] = [{'step': step.name, **result.camera(step.camera)}

@@ -9,7 +9,6 @@ import asyncio
 from collections.abc import Iterator
 from contextlib import contextmanager
 import logging
-
 from typing import TYPE_CHECKING
 
 import starcal_ros

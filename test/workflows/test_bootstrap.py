@@ -184,3 +184,14 @@ def test_a_recording_that_is_given_twice_is_refused(three, tmp_path, capsys):
     assert main(['bootstrap', *three, '--out', str(kept)]) == 2
     assert 'kept: cannot be made' in capsys.readouterr().err
     assert kept.read_text() == 'precious' and not list(tmp_path.glob('*.json'))
+
+
+def test_an_extra_that_is_absent_is_named_for_one_and_for_several(three, monkeypatch, capsys):
+    def absent(*given, **named):
+        raise ImportError("needs pip install 'starcal_ros[identify]'")
+    monkeypatch.setattr('starcal_ros.recording.measured_images.ImageMeter', absent)
+    with joblib.parallel_config(backend='sequential'):
+        for bags in (three[:1], three):
+            assert main(['bootstrap', *bags]) == 2
+            assert 'error: ' in (line := capsys.readouterr().err.splitlines()[-1])
+            assert line.endswith("needs pip install 'starcal_ros[identify]'")
