@@ -48,19 +48,19 @@ def spread(address: str | None) -> Iterator[None]:
         client = Client(address, timeout=_PATIENCE_S)       # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise ConfigError(f'--dask: no scheduler answers at {address}: {error}') from None
-    with client:
+    with client, tasks.on_cluster(client):
         _check(client, address)
-        with tasks.on_cluster(client):
-            yield
+        yield
 
 
 def _check(client: Client, address: str) -> None:
+    from starcal_ros.evaluation import tasks
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
     except (OSError, asyncio.TimeoutError):
         raise ConfigError(f'--dask: {address} has no worker') from None
     try:
-        client.submit(version, pure=False).result()         # the scheduler reads it as well
+        list(tasks.each(version, [()]))                     # the scheduler reads it as well
         there = set(client.run(version).values())
     except (ImportError, AttributeError, RuntimeError) as error:
         raise ConfigError(f'--dask: {address}: starcal_ros {starcal_ros.__version__} is to be '

@@ -213,7 +213,8 @@ def test_workers_that_are_always_lost_end_the_study(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_loss_of_a_worker_of_a_cluster_is_survived_and_that_of_all_is_named(tmp_path):
+def test_the_loss_of_a_worker_of_a_cluster_is_survived_and_that_of_all_is_named(
+        tmp_path, monkeypatch, capsys):
     distributed = pytest.importorskip('distributed')
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
                                   host='127.0.0.1') as there:
@@ -223,6 +224,9 @@ def test_the_loss_of_a_worker_of_a_cluster_is_survived_and_that_of_all_is_named(
         with pytest.raises(ConfigError, match='the Dask cluster: .* 4 different workers'):
             with cluster.spread(there.scheduler_address):
                 dict(tasks.each(kills_itself, [(1, None)]))
+        monkeypatch.setattr(cluster, 'version', kills_itself_at_once)
+        assert cli.main(['montecarlo', '--runs', '1', '--dask', there.scheduler_address]) == 2
+        assert 'the Dask cluster: ' in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -249,3 +253,8 @@ def kills_itself(value, once):
             once.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return {'value': np.array(value)}
+
+
+def kills_itself_at_once():
+    """End the process that calls it."""
+    os.kill(os.getpid(), signal.SIGKILL)
