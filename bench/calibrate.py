@@ -3,8 +3,8 @@
 """Time and memory of two hours of T18's scenario: `python bench/calibrate.py`.
 
 Each command runs in a process of its own, as a user runs it. Prints the seconds from its start
-until its file is there and until it has ended, and the largest resident memory, beside what is
-aimed at on two cores.
+until its file is there and until it has ended, and the largest resident memory. What is aimed at
+is meant for two cores.
 """
 
 from pathlib import Path
@@ -13,6 +13,8 @@ import subprocess
 import sys
 import tempfile
 import time
+
+from bars import told
 
 HOURS = 2.0
 AIMS = {'simulate': 4.0, 'calibrate': 3.0}
@@ -36,11 +38,14 @@ def main() -> None:
             'simulate': run('simulate', '--config', config, '--out', bag),
             'calibrate': run('calibrate', bag, '--config', config, '--out', out)}
     for name, (there, ended) in seconds.items():
-        print(f'{name:<10} {there:6.2f} s of {AIMS[name]:.0f} aimed at, '
-              f'{HOURS * 3600.0 / there:6.0f} times real time; ended after {ended:.2f} s')
+        print(f'{name:<10} {there:6.2f} s, {HOURS * 3600.0 / there:6.0f} times real time; ended '
+              f'after {ended:.2f} s')
     # The larger of the two: the system keeps the maximum over all children.
     memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
-    print(f'memory     {memory:6.0f} MB of {MEMORY_AIM_MB:.0f} aimed at')
+    print(f'memory     {memory:6.0f} MB')
+    for name, (there, _) in seconds.items():
+        told(f'starcal {name}, {HOURS:.0f} h', there, AIMS[name], 's')
+    told('its memory', memory, MEMORY_AIM_MB, 'MB')
 
 
 if __name__ == '__main__':

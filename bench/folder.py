@@ -4,9 +4,9 @@
 
 Images of a rendered sky in FITS, 11 of half a megapixel (14 deg across) and 3 of 24 megapixels
 (53 deg), go through `starcal intrinsics`, which finds field, stars and camera, in a process of its
-own. Prints the seconds from its start until its file is there, the best of three, beside what is
-aimed at on two cores, and how far the focal length is off. The first run of all builds the
-database of stars, where there is none in the cache yet.
+own. Prints the seconds from its start until its file is there, the best of three, and how far the
+focal length is off. The first run of all builds the database of stars, where there is none in the
+cache yet. What is aimed at is meant for two cores.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import tempfile
 import time
 
 from astropy.io import fits
+from bars import told
 import numpy as np
 
 from starcal_ros.config.image import ImageConfig
@@ -70,7 +71,7 @@ def seconds(folder: Path, out: Path) -> float:
 
 def main() -> int:
     """Measure all folders."""
-    missed = 0
+    met = []
     for name, images, pixels, f_px, aim_s, of in FOLDERS:
         with tempfile.TemporaryDirectory() as place:
             folder, out = Path(place, 'images'), Path(place, 'camera.json')
@@ -78,11 +79,11 @@ def main() -> int:
             write(folder, images, pixels, f_px)
             best = min(seconds(folder, out) for _ in range(TURNS)) / of
             found = json.loads(out.read_text())
-        missed += best > aim_s
         sigma_px = found['sigma']['f_px']
-        print(f'{name:<21} {best:5.2f} s of {aim_s:.0f} aimed at; {found["verdict"]}, f '
+        print(f'{name:<21} {best:5.2f} s; {found["verdict"]}, f '
               f'{(found["f_px"] - f_px) / sigma_px:+.1f} sigma off, +- {sigma_px:.2f} px')
-    return 1 if missed else 0
+        met.append(told(f'{name}, unknown camera', best, aim_s, 's'))
+    return 0 if all(met) else 1
 
 
 if __name__ == '__main__':

@@ -14,6 +14,8 @@ from pathlib import Path
 import time
 from typing import Any
 
+from bars import told
+
 from starcal_ros.config import parameter_file
 from starcal_ros.filter import arithmetic, kernel, reference
 from starcal_ros.filter.calibrator import Calibrator
@@ -22,6 +24,7 @@ from starcal_ros.simulation import sensors
 FUNCTIONS = ('advance', 'compose', 'propagate', 'bends', 'correct', 'carry', 'judge', 'tally',
              'fit')
 MINUTES = 120.0
+AIM_US = 90.0
 _spent: dict[str, float] = defaultdict(float)
 
 
@@ -58,6 +61,7 @@ def main() -> None:
         for function in FUNCTIONS:
             print(f'    {function:<10} {1e6 * _spent[function] / n:7.0f} us')
     print(f'compiled   {whole[reference] / whole[kernel]:.1f} times as fast')
+    told('the filter alone, a frame of 25 stars', whole[kernel], AIM_US, 'us')
 
 
 if __name__ == '__main__':

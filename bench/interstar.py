@@ -14,6 +14,7 @@ from collections.abc import Callable
 from functools import partial
 from time import perf_counter
 
+from bars import told
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,12 +73,15 @@ def main() -> None:
                            40) / AT_ONCE
         print(f'NF {point.frames:3d}, NS {point.stars:2d}: as written {written:7.1f} ms, reduced '
               f'{ours_ms:6.3f} ms, {written / ours_ms:5.0f} times; compiled '
-              f'{compiled_ms:6.3f} ms, {written / compiled_ms:5.0f} times'
-              + (f' ({RATIO:.0f} wanted)' if point is POINTS[0] else ''))
+              f'{compiled_ms:6.3f} ms, {written / compiled_ms:5.0f} times')
+        if point is POINTS[0]:
+            told(f"A'A and A'e of S24 as written over ours, NF {point.frames}, NS {point.stars}",
+                 written / compiled_ms, RATIO, 'times', least=True)
     ms = np.min([run_file(POINTS[0], 1, k, 8)['ms'][:len(METHODS), 0] for k in range(4)], axis=0)
     print('A round at NF 100, NS 20: '
           + ', '.join(f'{name} {value:.2f}' for name, value in zip(METHODS, ms))
-          + f', together {ms.sum():.2f} ms of {MS_A_ROUND:.0f} aimed at')
+          + f', together {ms.sum():.2f} ms')
+    told('round of S24, four methods', ms.sum(), MS_A_ROUND, 'ms')
 
 
 if __name__ == '__main__':

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import partial
 from time import perf_counter
 
+from bars import told
 import numpy as np
 from numpy.typing import NDArray
 
@@ -111,7 +112,9 @@ def main() -> None:
                 alone = best_ms(lambda stars: attitude_free.update(
                     belief, stars, LENS, METHODS[name]['full']), frames)
                 print(f'{"":12}{name} {times[f"{name} full"]:.2f} ms, {alone:.2f} without the '
-                      f'screening of stars, of {limit} aimed at')
+                      'screening of stars')
+                told(f'{name} of W19 at {count} stars, with screening', times[f'{name} full'],
+                     limit, 'ms a frame')
 
 
 def converged(measure: Measurement, rng: np.random.Generator) -> CameraBelief:

@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 
+from bars import told
 import numpy as np
 from scipy.stats import chi2
 
@@ -30,6 +31,7 @@ from starcal_ros.filter.states import CALIBRATED
 
 LIGHT = {'gyro.rate_hz': 20.0, 'star_tracker.rate_hz': 0.5,
          'star_tracker.limiting_magnitude': 5.5}
+MEMORY_AIM_MB = 500.0
 BAND = chi2.ppf((0.025, 0.975), 13)
 
 
@@ -79,6 +81,7 @@ def main() -> None:
     print(f'NEES of 13 states, 95 % within {BAND[0]:.1f} to {BAND[1]:.1f}')
     print('|   h | simulate s |  MB | check s |  MB | calibrate s |   MB | NEES | eigenvalue |')
     print('|---|---|---|---|---|---|---|---|---|')
+    times, most = {}, 0.0
     for hours in options.hours:
         with tempfile.TemporaryDirectory() as folder:
             bag, config, out = (Path(folder, name) for name in (
@@ -91,9 +94,14 @@ def main() -> None:
                 ('calibrate', str(bag), '--config', str(config), '--out', str(out), '--no-check',
                  '--report', str(Path(folder, 'report.html')))) for part in run(*command)]
             worth, least = nees(out, bag)
+        times[hours], most = cells[4] / hours, max(most, *cells[1::2])
         print(f'| {hours:3g} | {cells[0]:10.1f} | {cells[1]:3.0f} | {cells[2]:7.1f} | '
               f'{cells[3]:3.0f} | {cells[4]:11.1f} | {cells[5]:4.0f} | {worth:4.1f} | '
               f'{least:10.2g} |', flush=True)
+    longest, shortest = max(times), min(times)
+    told(f'calibrate, an hour of {longest:g} h over one of {shortest:g} h',
+         times[longest] / times[shortest], 1.0, 'times')
+    told(f'largest memory up to {longest:g} h', most, MEMORY_AIM_MB, 'MB')
 
 
 if __name__ == '__main__':

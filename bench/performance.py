@@ -10,11 +10,14 @@ does not find is said in its place.
 import ast
 from datetime import date
 from importlib.metadata import version
+from itertools import chain
 import os
 from pathlib import Path
 import platform
 import subprocess
 import sys
+
+from bars import MARK
 
 BENCH = Path(__file__).resolve().parent
 PAGE = BENCH.parent / 'docs' / 'performance.md'
@@ -30,6 +33,14 @@ edit none of it. Times of different machines can not be compared, ratios within 
 
 * {day}, {cores} cores ({processor}), Python {python}, numpy {numpy}, numba {numba}
 * one thread a library (`OPENBLAS_NUM_THREADS=1`)
+
+## What is aimed at
+
+Of a machine of two cores that does nothing else; what is missed is said.
+
+| what | measured | aimed at | |
+|---|---|---|---|
+{aims}
 """
 
 
@@ -40,8 +51,8 @@ def processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def section(script: str) -> str:
-    """Return what a script says of itself, and what it prints."""
+def section(script: str) -> tuple[str, list[str]]:
+    """Return what a script says of itself and prints, and what it says of what is aimed at."""
     name, *arguments = script.split()
     about = ast.get_docstring(ast.parse((BENCH / name).read_text())) or ''
     title, _, rest = about.partition('\n\n')
@@ -50,17 +61,22 @@ def section(script: str) -> str:
                           text=True, env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'})
     # A script that misses what it aims at ends with 1; one that breaks has said nothing.
     last = '' if done.stdout else (done.stderr.strip().splitlines() or ['nothing said'])[-1]
-    printed = done.stdout.rstrip() or f'ended with status {done.returncode}: {last}'
+    lines = done.stdout.rstrip().splitlines()
+    printed = '\n'.join(line for line in lines if not line.startswith(MARK)) or (
+        f'ended with status {done.returncode}: {last}')
     heading = title.partition(':')[0].rstrip('.')
-    return f'## {heading}\n\n`bench/{script}`\n\n{rest.strip()}\n\n```text\n{printed}\n```\n'
+    return (f'## {heading}\n\n`bench/{script}`\n\n{rest.strip()}\n\n```text\n{printed}\n```\n',
+            [f'| {line.removeprefix(MARK)} |' for line in lines if line.startswith(MARK)])
 
 
 def main() -> None:
     """Run all of them and write the page."""
+    sections, aims = zip(*map(section, SCRIPTS))
     head = HEAD.format(
+        aims='\n'.join(chain(*aims)),
         day=date.today().isoformat(), cores=len(os.sched_getaffinity(0)), processor=processor(),
         python=platform.python_version(), numpy=version('numpy'), numba=version('numba'))
-    PAGE.write_text('\n'.join([head, *map(section, SCRIPTS)]))
+    PAGE.write_text('\n'.join([head, *sections]))
 
 
 if __name__ == '__main__':

@@ -15,6 +15,8 @@ import sys
 import tempfile
 import time
 
+from bars import told
+
 from starcal_ros.evaluation.montecarlo import batch_size
 
 RUNS, MINUTES, MOST = 1000, 30, 16
@@ -62,8 +64,8 @@ def main() -> int:
         print(f'{workers:3d} workers {took:7.1f} s  {alone / took:5.1f} times as fast, {how}; '
               f'{longest(workers)} runs on one core {own:.1f} s')
         workers *= 2
-    print(f'{alone / took:.1f} times as fast on {MOST}, {AIMED_AT:.0f} aimed at')
-    return 0 if alone / took >= AIMED_AT else 1
+    return 0 if told(f'Monte Carlo on {MOST} workers over one, {how}', alone / took, AIMED_AT,
+                     'times', least=True) else 1
 
 
 if __name__ == '__main__':

@@ -20,6 +20,7 @@ import tempfile
 import time
 from typing import Any, NamedTuple
 
+from bars import told
 from diagnostic_msgs.msg import DiagnosticArray
 import rclpy
 from rclpy.node import Node
@@ -32,7 +33,7 @@ from starcal_ros.workflows.live_run import isolated
 from starcal_ros.workflows.node_program import node_command
 
 REPEATS = 5
-HELP_S, INFO_S, NODE_S = 0.3, 0.6, 2.0      # what is asked for
+COMMAND_S, NODE_S = {'help': 0.3, 'info': 0.6}, 2.0     # what is aimed at
 PATIENCE_S = 30.0
 FIRST = {'gyro_sim': (Imu, 'imu/data_raw'),
          'star_tracker_sim': (PointCloud2, 'star_tracker/centroids'),
@@ -89,11 +90,12 @@ def _children_s(times: Any = None) -> float:
     return float(times.children_user + times.children_system)
 
 
-def report(name: str, asked_s: float, run: Callable[[], Took]) -> None:
-    """Print the best of several runs as a row."""
+def best(name: str, run: Callable[[], Took]) -> float:
+    """Print the best of several runs as a row; return the time [s]."""
     runs = [run() for _ in range(REPEATS)]
-    print(f'| {name} | {min(took.wall_s for took in runs):.2f} | '
-          f'{min(took.busy_s for took in runs):.2f} | {asked_s} |', flush=True)
+    wall_s = min(took.wall_s for took in runs)
+    print(f'| {name} | {wall_s:.2f} | {min(took.busy_s for took in runs):.2f} |', flush=True)
+    return wall_s
 
 
 def main(names: list[str]) -> int:
@@ -105,15 +107,20 @@ def main(names: list[str]) -> int:
         bag = Path(folder, 'run.mcap')
         simulate(parameter_file.load(config_file('tan2018.yaml')), bag)
         commands = {'help': ('--help',), 'info': ('info', str(bag))}
-        print('| what | time [s] | processor time [s] | at most [s] |\n|---|---|---|---|')
+        print('| what | time [s] | processor time [s] |\n|---|---|---|')
+        commanded, spoke = {}, {}
         for name, words in commands.items():
             if not names or name in names:
-                report(f'starcal {words[0]}', HELP_S if name == 'help' else INFO_S,
-                       lambda: of_command(*words))
+                commanded[name] = best(f'starcal {words[0]}', lambda: of_command(*words))
         for name in (*FIRST, *LISTENS):
             if not names or name in names:
-                report(name, NODE_S, lambda: of_node(listener, name, bag))
+                spoke[name] = best(name, lambda: of_node(listener, name, bag))
     rclpy.shutdown()
+    for name, took_s in commanded.items():
+        told(f'starcal {commands[name][0]}', took_s, COMMAND_S[name], 's')
+    if spoke:
+        last = max(spoke, key=lambda name: spoke[name])
+        told(f'first message of a node, the last one: {last}', spoke[last], NODE_S, 's')
     return 0
 
 
