@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 import os
 from pathlib import Path
+import traceback
 from typing import Any, NamedTuple
 
 from starcal_ros.cli import arguments, cluster, outputs
@@ -125,11 +126,14 @@ def _spread(given: Sequence[_Task]) -> Iterator[tuple[int, _Found | _Failed]]:
 
 def _alone(bag: str, scenario: Scenario, images_first: bool, choice: TopicChoice
            ) -> _Found | _Failed:
-    """Calibrate one of several recordings: what it fails of ends none of the others."""
+    """Calibrate one of several recordings: what it fails of, a defect too, ends no other."""
     try:
         return _calibrated(bag, scenario, images_first, choice, _untold)
     except Exception as error:
-        return _Failed(*told(error))
+        try:
+            return _Failed(*told(error))
+        except Exception:
+            return _Failed(1, traceback.format_exc().rstrip())
 
 
 @contextmanager

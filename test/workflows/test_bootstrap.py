@@ -164,6 +164,19 @@ def test_the_worst_of_several_is_the_status(three, monkeypatch):
         assert [main(['bootstrap', *three]), main(['bootstrap', *three])] == [1, 2]
 
 
+def test_a_defect_met_with_one_of_several_ends_none_of_the_others(three, monkeypatch, capsys):
+    errors = [KeyError('never thought of'), ValueError('no'), ValueError('no')]
+
+    def fail(*given):
+        raise errors.pop(0)
+    monkeypatch.setattr(command, '_calibrated', fail)
+    with joblib.parallel_config(backend='sequential'):
+        assert main(['bootstrap', *three]) == 1
+    said = capsys.readouterr().err
+    assert f'error: {three[0]}: Traceback' in said and "KeyError: 'never thought of'" in said
+    assert said.endswith(f'error: {three[1]}: no\nstarcal bootstrap: error: {three[2]}: no\n')
+
+
 @pytest.mark.parametrize('bags, names', [
     (['a.mcap', 'b.mcap', 'c'], ['a', 'b', 'c']),
     (['1/run.mcap', '2/run.mcap'], ['1_run', '2_run']),
