@@ -49,6 +49,7 @@ def test_what_is_wrong_is_the_best_and_with_it_the_tests_pass(row, keys):
     assert failed(after) == set() and word(after) == 'not yet'
 
 
+@pytest.mark.slow
 def test_two_things_that_are_wrong_are_found_together():
     row = wrong_models.WrongModel('both', {
         'truth.star_tracker.time_offset_s': 0.005,

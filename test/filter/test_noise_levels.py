@@ -167,6 +167,7 @@ def test_a_walk_that_the_stars_drown_is_found_to_a_tenth_from_wherever_it_is_sta
         assert search.better()
 
 
+@pytest.mark.slow
 def test_a_step_is_no_noise_and_is_still_found():
     """Stated ten times too small: a step half-way would raise it far above the truth."""
     run = RUN.replace({'simulation.duration_s': 400.0, GYRO: 0.001})

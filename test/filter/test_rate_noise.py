@@ -132,6 +132,7 @@ def test_frames_that_a_gyro_hardly_predicts_are_judged_all_the_same(truth, told)
     assert told in failed(calibrator) if told else failed(calibrator) == set()
 
 
+@pytest.mark.slow
 def test_a_time_offset_that_only_noise_would_tell_is_said_to_be_so():
     """Slow turns, frames ten times a second: an EKF would hold the offset near zero, and be sure.
 

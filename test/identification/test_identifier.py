@@ -54,7 +54,8 @@ def path(eye: Viewer, turn, count: int):
 
 # Lost in space
 
-@pytest.mark.parametrize('error, frames', [(0.01, 60), (0.1, 40)])
+@pytest.mark.parametrize('error, frames', [
+    pytest.param(0.01, 60, marks=pytest.mark.slow), (0.1, 40)])
 def test_stars_are_found_among_false_and_missing_ones(error, frames):
     """Five false spots a frame, 20 % of the stars missing, a distortion that is not known."""
     identifier, eye = Identifier(guess(error)), viewer(1)
@@ -225,6 +226,7 @@ def test_what_is_expected_without_reason_is_not_believed():
         assert identifier.track(prior, rng.uniform(0.0, 1023.0, (10, 2)), np.ones(10)) is None
 
 
+@pytest.mark.slow
 def test_random_spots_are_tracked_once_in_ten_thousand_frames_at_most():
     """An attitude known to 6 px: by Eq. (I.2) up to one frame in 25 has three matches."""
     rng, identifier, frames = np.random.default_rng(13), Identifier(known()), 2000

@@ -63,6 +63,7 @@ def test_a_noise_alone_has_the_deviation_of_the_standard(of, name):
     assert low < list(of.values())[0] < high and low < value < high
 
 
+@pytest.mark.slow
 def test_the_intervals_hold_the_truth_and_no_noise_is_invented():
     """60 gyros with four kinds of noise, 60 with one; 0.95 is what the intervals promise."""
     truth = {'quantisation': 0.5, 'angle random walk': 0.1, 'bias instability': 1.0,

@@ -406,6 +406,7 @@ def test_drift_is_stationary_from_the_start(t):
     assert_unit_variance(drifts([t]))
 
 
+@pytest.mark.slow
 def test_drift_is_correlated_by_the_exponential_of_the_lag():
     """Of n pairs a correlation r has the standard deviation (1 - r^2) / sqrt(n)."""
     lags = np.array([1, 10, 50, 100, 200])
@@ -416,6 +417,7 @@ def test_drift_is_correlated_by_the_exponential_of_the_lag():
         assert abs(found - expected) < 3.3 * (1.0 - expected**2) / np.sqrt(n)
 
 
+@pytest.mark.slow
 def test_the_axes_drift_apart():
     Psi = drifts([100])[:, 0]
     correlation = np.corrcoef(Psi.T)[np.triu_indices(3, 1)]

@@ -133,6 +133,7 @@ def test_a_file_may_tell_of_a_fisheye(images, monkeypatch):
     assert found['f_px'] == pytest.approx(153.0, abs=0.1) and found['counts']['images'] == 2
 
 
+@pytest.mark.slow
 def test_a_field_of_which_nothing_is_known_may_be_too_narrow(images, monkeypatch, capsys):
     monkeypatch.setattr(search, 'RARE_DEG', ((40.0, 55.0),))
     rng = np.random.default_rng(1)
@@ -240,6 +241,7 @@ def test_a_mask_takes_it_out(images, tmp_path, capsys):
 
 # The clock
 
+@pytest.mark.slow
 def test_a_camera_clock_has_the_zone_that_is_stated(tmp_path, capsys):
     """A clock at UTC-7: the refraction of the right time fits far better than that of UTC."""
     case = CASES / 'zone_of_exif'
