@@ -5,7 +5,8 @@
 A campaign of T18's scenario on one core, then on each power of two that there is. Beyond that
 the schedule's arithmetic: the busiest worker makes so many runs, batch by batch, which takes as
 long as one core takes for them, measured; and what the workers cost beside their runs is what it
-is on as many as there are. Of each time the better of two tries counts.
+is on as many as there are. Of the times of one core that are reckoned with the better of two tries
+counts, since they are short.
 """
 
 import os
@@ -25,11 +26,7 @@ CONFIG = Path(__file__).parents[1] / 'config' / 'tan2018.yaml'
 
 
 def seconds(runs: int, workers: int, *more: str) -> float:
-    """Return how long some runs take on some cores, the better of two tries."""
-    return min(_tried(runs, workers, more) for _ in range(2))
-
-
-def _tried(runs: int, workers: int, more: tuple[str, ...]) -> float:
+    """Return how long some runs take on some cores."""
     with tempfile.TemporaryDirectory() as folder:
         begin = time.monotonic()
         subprocess.run(
@@ -55,7 +52,7 @@ def main() -> int:
     print(f'{RUNS} runs of {MINUTES} min')
     alone = beside = 0.0
     while workers <= MOST:
-        own = seconds(longest(workers), 1)
+        own = min(seconds(longest(workers), 1) for _ in range(1 if workers <= here else 2))
         if workers <= here:
             took = own if workers == 1 else seconds(RUNS, workers)
             alone, beside = alone or took, max(took - own, 0.0)     # less is the noise of the two
