@@ -16,6 +16,7 @@ from pathlib import Path
 import platform
 import subprocess
 import sys
+import time
 
 from bars import MARK
 
@@ -33,6 +34,8 @@ edit none of it. Times of different machines can not be compared, ratios within 
 
 * {day}, {cores} cores ({processor}), Python {python}, numpy {numpy}, numba {numba}
 * one thread a library (`OPENBLAS_NUM_THREADS=1`)
+* five million additions in Python, five times before all and five times after: {least:.2f} to
+  {most:.2f} s. It tells how fast the machine is, and how even.
 
 ## What is aimed at
 
@@ -49,6 +52,14 @@ def processor() -> str:
     lines = Path('/proc/cpuinfo').read_text().splitlines()
     names = [line.partition(':')[2].strip() for line in lines if line.startswith('model name')]
     return names[0] if names else platform.machine()
+
+
+def additions() -> float:
+    """Return how long five million additions take [s]."""
+    begin, total = time.perf_counter(), 0
+    for k in range(5_000_000):
+        total += k
+    return time.perf_counter() - begin
 
 
 def section(script: str) -> tuple[str, list[str]]:
@@ -71,8 +82,11 @@ def section(script: str) -> tuple[str, list[str]]:
 
 def main() -> None:
     """Run all of them and write the page."""
+    paces = [additions() for _ in range(5)]
     sections, aims = zip(*map(section, SCRIPTS))
+    paces += [additions() for _ in range(5)]
     head = HEAD.format(
+        least=min(paces), most=max(paces),
         aims='\n'.join(chain(*aims)),
         day=date.today().isoformat(), cores=len(os.sched_getaffinity(0)), processor=processor(),
         python=platform.python_version(), numpy=version('numpy'), numba=version('numba'))
