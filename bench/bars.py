@@ -1,6 +1,6 @@
 # Copyright 2026 starcal_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is aimed at, beside what was measured: a line each, of which the page makes a table."""
+"""What was measured, beside what is aimed at: a line each, of which the page makes a table."""
 
 MARK = 'aim: '
 
@@ -19,7 +19,11 @@ def told(what: str, value: float, aim: float, unit: str = '', least: bool = Fals
         Whether more is better.
     """
     met = value >= aim if least else value <= aim
-    print(f'{MARK}{what} | {f"{value:.3g} {unit}".rstrip()} | '
-          f'{"at least" if least else "at most"} {f"{aim:g} {unit}".rstrip()} | '
-          f'{"met" if met else "missed"}', flush=True)
+    bound = f'{"at least" if least else "at most"} {aim:g} {unit}'.rstrip()
+    noted(what, f'{value:.3g} {unit}'.rstrip(), bound, met)
     return met
+
+
+def noted(what: str, value: str, bound: str = '', met: bool = True) -> None:
+    """Print a row of the table: what was measured, what is aimed at, and the value."""
+    print(f'{MARK}{what} | {bound} | {value if met else f"**{value}**"}', flush=True)

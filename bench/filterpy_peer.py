@@ -9,6 +9,10 @@ they are natural: plainly, which is a prediction a gyro reading, and composed, w
 frame. It has no gate, no tests of the model, no check before and no report; the directions of the
 stars, and the camera with its derivatives, are those of this package, all stars at once. Needs
 filterpy: ``pip install filterpy``.
+
+Forty times is aimed at, of the peer that predicts at each reading. It is out of reach: an hour
+has 7200 frames, which at the 90 us that one is allowed are 0.65 s; where the peer takes 30 s, a
+fortieth is 0.76 s, and Python with numba and the kernel takes more than what is left to be there.
 """
 
 import argparse
@@ -19,7 +23,7 @@ import sys
 import tempfile
 import time
 
-from bars import told
+from bars import noted, told
 from filterpy.kalman import ExtendedKalmanFilter
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -187,8 +191,9 @@ def main():
         off = np.abs(np.array(values) - [*peer['gyro_bias_deg_h'], *peer['intrinsics']])
         print(f'peer, {way:<11} {min(took):6.2f} s, {min(took) / min(ours):4.1f} times as long; '
               f'the estimates differ by at most {(off / peer["sigma"]).max():.2f} sigma')
-    told(f'rosbags + filterpy over starcal calibrate, {HOURS:.0f} h', min(peers['plainly'])
-         / min(ours), AIM, 'times', least=True)
+    plainly_s = min(peers['plainly'])
+    noted(f'rosbags + filterpy, {HOURS:.0f} h', f'{plainly_s:.1f} s')
+    told('that over starcal calibrate', plainly_s / min(ours), AIM, 'times', least=True)
 
 
 if __name__ == '__main__':

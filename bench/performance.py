@@ -4,13 +4,13 @@
 
 Runs the other scripts of this folder one after the other, each in a process of its own, and
 writes what they print. To be run on a machine that does nothing else; what one of them needs and
-does not find is said in its place.
+does not find is said in its place. What the page has of other machines beside what is aimed at
+stays there.
 """
 
 import ast
 from datetime import date
 from importlib.metadata import version
-from itertools import chain
 import os
 from pathlib import Path
 import platform
@@ -32,19 +32,18 @@ HEAD = """# Performance
 Written by `python bench/performance.py`, which runs the scripts of `bench/` one after the other;
 edit none of it. Times of different machines can not be compared, ratios within a script can.
 
-* {day}, {cores} cores ({processor}), Python {python}, numpy {numpy}, numba {numba}
-* one thread a library (`OPENBLAS_NUM_THREADS=1`)
-* five million additions in Python, five times before all and five times after: {least:.2f} to
-  {most:.2f} s. It tells how fast the machine is, and how even.
-
 ## What is aimed at
 
-Of a machine of two cores that does nothing else; what is missed is said.
+Of a machine of two cores that does nothing else, beside what was measured on some, one thread a
+library (`OPENBLAS_NUM_THREADS=1`). What misses is **bold**. How fast a machine is tell a loop in
+Python, five times before all and five times after, and what is written with rosbags and filterpy.
 
-| what | measured | aimed at | |
-|---|---|---|---|
-{aims}
+{table}
+
+The rest of this page is of {processor}, {day}: {cores} cores, Python {python}, numpy {numpy},
+numba {numba}.
 """
+TITLES = ['what', 'aimed at']
 
 
 def processor() -> str:
@@ -62,8 +61,8 @@ def additions() -> float:
     return time.perf_counter() - begin
 
 
-def section(script: str) -> tuple[str, list[str]]:
-    """Return what a script says of itself and prints, and what it says of what is aimed at."""
+def section(script: str) -> tuple[str, list[list[str]]]:
+    """Return what a script says of itself and prints, and its rows of the table."""
     name, *arguments = script.split()
     about = ast.get_docstring(ast.parse((BENCH / name).read_text())) or ''
     title, _, rest = about.partition('\n\n')
@@ -77,19 +76,41 @@ def section(script: str) -> tuple[str, list[str]]:
         f'ended with status {done.returncode}: {last}')
     heading = title.partition(':')[0].rstrip('.')
     return (f'## {heading}\n\n`bench/{script}`\n\n{rest.strip()}\n\n```text\n{printed}\n```\n',
-            [f'| {line.removeprefix(MARK)} |' for line in lines if line.startswith(MARK)])
+            [line.removeprefix(MARK).split(' | ') for line in lines if line.startswith(MARK)])
+
+
+def rows_of(page: str) -> list[list[str]]:
+    """Return the cells of the table of a page, its titles first; none where it has none."""
+    head = f'| {" | ".join(TITLES)} |'
+    lines = page.partition(f'\n{head}')[2].partition('\n\n')[0].splitlines()
+    cells = [[cell.strip() for cell in line.strip('|').split('|')] for line in lines]
+    return [[*TITLES, *cells[0]], *cells[2:]] if cells else [TITLES]
+
+
+def table(page: str, machine: str, day: str, found: list[list[str]]) -> str:
+    """Return the table with what was found on a machine first, and what a page has of others."""
+    titles, *before = rows_of(page)
+    others = [k for k, title in enumerate(titles) if k >= len(TITLES)
+              and title.rpartition(', ')[0] != machine]
+    known = {row[0]: row for row in before}
+    rows = [[*TITLES, f'{machine}, {day}', *(titles[k] for k in others)],
+            ['---'] * (len(TITLES) + 1 + len(others))]
+    for row in found:
+        rows.append([*row, *(known[row[0]][k] if row[0] in known else '' for k in others)])
+    return '\n'.join(f'| {" | ".join(row)} |' for row in rows)
 
 
 def main() -> None:
     """Run all of them and write the page."""
     paces = [additions() for _ in range(5)]
-    sections, aims = zip(*map(section, SCRIPTS))
+    sections, found = zip(*map(section, SCRIPTS))
     paces += [additions() for _ in range(5)]
+    loop = ['five million additions in Python', '', f'{min(paces):.2f} to {max(paces):.2f} s']
+    machine, day = processor(), date.today().isoformat()
     head = HEAD.format(
-        least=min(paces), most=max(paces),
-        aims='\n'.join(chain(*aims)),
-        day=date.today().isoformat(), cores=len(os.sched_getaffinity(0)), processor=processor(),
-        python=platform.python_version(), numpy=version('numpy'), numba=version('numba'))
+        table=table(PAGE.read_text(), machine, day, [loop, *sum(found, [])]), processor=machine,
+        day=day, cores=len(os.sched_getaffinity(0)), python=platform.python_version(),
+        numpy=version('numpy'), numba=version('numba'))
     PAGE.write_text('\n'.join([head, *sections]))
 
 
