@@ -45,7 +45,7 @@ def main() -> None:
     print(f'memory     {memory:6.0f} MB')
     for name, (there, _) in seconds.items():
         told(f'starcal {name}, {HOURS:.0f} h', there, AIMS[name], 's')
-    told('its memory', memory, MEMORY_AIM_MB, 'MB')
+    told(f'memory of the two, {HOURS:.0f} h', memory, MEMORY_AIM_MB, 'MB')
 
 
 if __name__ == '__main__':

@@ -193,7 +193,8 @@ def main():
               f'the estimates differ by at most {(off / peer["sigma"]).max():.2f} sigma')
     plainly_s = min(peers['plainly'])
     noted(f'rosbags + filterpy, {HOURS:.0f} h', f'{plainly_s:.1f} s')
-    told('that over starcal calibrate', plainly_s / min(ours), AIM, 'times', least=True)
+    told(f'rosbags + filterpy, {HOURS:.0f} h, over starcal calibrate', plainly_s / min(ours), AIM,
+         'times', least=True)
 
 
 if __name__ == '__main__':

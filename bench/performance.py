@@ -34,9 +34,9 @@ edit none of it. Times of different machines can not be compared, ratios within 
 
 ## What is aimed at
 
-Of a machine of two cores that does nothing else, beside what was measured on some, one thread a
-library (`OPENBLAS_NUM_THREADS=1`). What misses is **bold**. How fast a machine is tell a loop in
-Python, five times before all and five times after, and what is written with rosbags and filterpy.
+The aims are for two cores that do nothing else; each library has one thread
+(`OPENBLAS_NUM_THREADS=1`). Misses are **bold**. Two rows without an aim tell how fast a machine
+is: a loop in Python, the fastest and the slowest of ten before and after all else, and the peer.
 
 {table}
 
@@ -92,23 +92,26 @@ def table(page: str, machine: str, day: str, found: list[list[str]]) -> str:
     titles, *before = rows_of(page)
     others = [k for k, title in enumerate(titles) if k >= len(TITLES)
               and title.rpartition(', ')[0] != machine]
-    known = {row[0]: row for row in before}
+    known = {row[0]: row for row in before if any(row[k] for k in others)}
+    new = {what: (aim, value) for what, aim, value in found}
     rows = [[*TITLES, f'{machine}, {day}', *(titles[k] for k in others)],
             ['---'] * (len(TITLES) + 1 + len(others))]
-    for row in found:
-        rows.append([*row, *(known[row[0]][k] if row[0] in known else '' for k in others)])
+    for what in {**new, **known}:
+        row = known.get(what, [''] * len(titles))
+        rows.append([what, *new.get(what, (row[1], '')), *(row[k] for k in others)])
     return '\n'.join(f'| {" | ".join(row)} |' for row in rows)
 
 
 def main() -> None:
     """Run all of them and write the page."""
+    before = PAGE.read_text()
     paces = [additions() for _ in range(5)]
     sections, found = zip(*map(section, SCRIPTS))
     paces += [additions() for _ in range(5)]
     loop = ['five million additions in Python', '', f'{min(paces):.2f} to {max(paces):.2f} s']
     machine, day = processor(), date.today().isoformat()
     head = HEAD.format(
-        table=table(PAGE.read_text(), machine, day, [loop, *sum(found, [])]), processor=machine,
+        table=table(before, machine, day, [loop, *sum(found, [])]), processor=machine,
         day=day, cores=len(os.sched_getaffinity(0)), python=platform.python_version(),
         numpy=version('numpy'), numba=version('numba'))
     PAGE.write_text('\n'.join([head, *sections]))

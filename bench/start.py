@@ -119,8 +119,7 @@ def main(names: list[str]) -> int:
     for name, took_s in commanded.items():
         told(f'starcal {commands[name][0]}', took_s, COMMAND_S[name], 's')
     if spoke:
-        last = max(spoke, key=lambda name: spoke[name])
-        told(f'first message of a node, the last one: {last}', spoke[last], NODE_S, 's')
+        told('first message of the slowest node', max(spoke.values()), NODE_S, 's')
     return 0
 
 
